@@ -50,7 +50,7 @@ _CONTEXT = {name: f"cr:{name}" for name in _TERMS} | {
 }
 """JSON-LD context of Croissant 1.1."""
 _TYPES = ((kinds.is_floating, "sc:Float"), (kinds.is_integer, "sc:Integer"), (kinds.is_string, "sc:Text"))
-_FORMATS = {".parquet": "application/vnd.apache.parquet", ".json": "application/json", ".stl": "model/stl"}
+_FORMATS = {".parquet": "application/x-parquet", ".json": "application/json", ".stl": "model/stl"}
 _README = """---
 license: apache-2.0
 pretty_name: {name}

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from scenarios.benchmark.dataset import PREFIX, write_rows
+from scenarios.benchmark.dataset import PREFIX, SAMPLES, write_rows
 from testbed.files import write_whole
 from testbed.trajectory import SERIES
 
@@ -40,44 +40,25 @@ SCALARS = {
 """Types of the columns of one number."""
 
 
-@dataclass(eq=False)
-class Statistics:
-    """Statistics of the columns over all samples, a trial at a time."""
-
-    count: int = 0
-    of: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
-    """Least, most, sum and sum of squares of each column."""
-
-    def add(self, samples: pa.Table) -> None:
-        """Take the samples of a trial."""
-        self.count += len(samples)
-        for name, column in zip(samples.column_names, samples.columns, strict=True):
-            flat = column.combine_chunks()
-            nested = isinstance(flat, pa.FixedSizeListArray)
-            values = (flat.flatten() if nested else flat).to_numpy().reshape(len(samples), -1).astype(float)
-            new = values.min(0), values.max(0), values.sum(0), (values**2).sum(0)
-            old = self.of.get(name, (np.full_like(new[0], np.inf), np.full_like(new[0], -np.inf), 0.0, 0.0))
-            self.of[name] = np.minimum(old[0], new[0]), np.maximum(old[1], new[1]), old[2] + new[2], old[3] + new[3]
-
-    def table(self) -> dict[str, dict[str, list[float]]]:
-        """Least, most, mean, standard deviation and number of samples of each column."""
-        found = {}
-        for name, (low, high, total, squares) in self.of.items():
-            mean = total / self.count
-            spread = np.sqrt(np.maximum(squares / self.count - mean**2, 0))
-            found[name] = {key: v.tolist() for key, v in (("min", low), ("max", high), ("mean", mean), ("std", spread))}
-            found[name]["count"] = [self.count]
-        return found
+def statistics(samples: Path) -> dict[str, dict[str, list[float]]]:
+    """Least, most, mean, standard deviation and number of samples of each column of a file."""
+    found = {}
+    for name in pq.read_schema(samples).names:  # one after the other: all would take a gigabyte
+        column = pq.read_table(samples, columns=[name])[name].combine_chunks()
+        flat = column.flatten() if isinstance(column, pa.FixedSizeListArray) else column
+        values = flat.to_numpy().reshape(len(column), -1).astype(float)
+        figures = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
+        found[name] = {key: each.tolist() for key, each in figures.items()} | {"count": [len(column)]}
+    return found
 
 
-def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[str], statistics: Statistics) -> None:
-    """Write the folder `meta`.
+def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[str]) -> None:
+    """Write the folder `meta` beside the samples.
 
     Args:
         folder: the published folder.
         trials: rows of the table of trials, in order of their episodes.
         splits: split of each trial.
-        statistics: statistics of all samples.
     """
     tasks = list(TASKS.values())
     end = np.cumsum([trial["samples"] for trial in trials])
@@ -121,6 +102,6 @@ def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[
         "video_path": None,
         "features": plain | series,
     }
-    for name, content in (("info", info), ("stats", statistics.table())):
+    for name, content in (("info", info), ("stats", statistics(folder / SAMPLES))):
         text = json.dumps(content, indent=1) + "\n"
         write_whole(folder / f"meta/{name}.json", lambda part, text=text: part.write_text(text, encoding="utf-8"))

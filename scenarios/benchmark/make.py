@@ -64,18 +64,18 @@ def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int,
         for splits, name, own in ((SPLITS[:2], "public", PUBLISHED_SECRET), (SPLITS[2:], "test", secret)):
             store = Store(private / name, own)
             store.remove_leftovers()
-            run = _Simulated([cell for split in splits for cell in cells(split, counts[split])], store, tasks, progress)
-            made += run.work_off()
+            wanted = [cell for split in splits for cell in cells(split, counts[split])]
+            run = _Simulated(wanted, store, tasks, progress)
+            made += sorted(run.work_off(), key=lambda each: (wanted.index(each[0]), each[1].file.name))
             left_out += run.left_out
-        made.sort(key=lambda each: (each[0].rank, each[1].file.name))
         problems = publish(folder.absolute(), [entry for _, entry in made], private / TRUTH_FILE, secret)
     return Made(folder, private / TRUTH_FILE, tuple(problems), tuple(left_out))
 
 
 def _agreed(private: Path, secret: str | None) -> str:
     """Secret of the test split, kept in the private folder."""
-    if secret is not None and len(secret) < LEAST_SECRET:
-        allowed = f"{LEAST_SECRET} letters or more: the layouts of test objects are published, and show a short secret"
+    if secret is not None and (len(secret) < LEAST_SECRET or secret == PUBLISHED_SECRET):
+        allowed = f"{LEAST_SECRET} letters or more that are not published: layouts of test objects show a short secret"
         raise InvalidValueError("--secret", "*" * len(secret), allowed)
     kept = read_json(private / "secret.json")
     if kept is None:

@@ -87,11 +87,6 @@ class Cell:
         return f"{self.split}-{self.kind}-{self.world}"
 
     @property
-    def rank(self) -> tuple[int, int, int]:
-        """Place among all cells: by split, kind and world."""
-        return SPLITS.index(self.split), list(KINDS).index(self.kind), WORLDS.index(self.world)
-
-    @property
     def expected_trials(self) -> int:
         """Trials of all its problems, the weighings among them, where nothing is refused."""
         return KINDS[self.kind].policy.expected_trials * self.count

@@ -27,7 +27,7 @@ from scenarios.benchmark.dataset import (
     write_rows,
     write_samples,
 )
-from scenarios.benchmark.lerobot import TASKS, Statistics, write_meta
+from scenarios.benchmark.lerobot import TASKS, write_meta
 from scenarios.benchmark.problems import SPLITS, hidden
 from scenarios.results.files import write_json
 from testbed.files import write_whole
@@ -85,7 +85,6 @@ def publish(folder: Path, entries: Sequence[Entry], truth_file: Path, secret: st
     (folder / "benchmark.json").unlink(missing_ok=True)
     problems: list[Problem] = []
     trials: list[dict[str, Any]] = []
-    statistics = Statistics()
 
     def samples() -> Iterator[pa.Table]:
         first = 0
@@ -96,13 +95,12 @@ def publish(folder: Path, entries: Sequence[Entry], truth_file: Path, secret: st
                 row = trial_row(entry.file.name, number, len(trials), trajectory)
                 table = samples_of(trajectory, len(trials), first, list(TASKS).index(row["action"]))
                 first += len(table)
-                statistics.add(table)
                 trials.append(row)
                 yield table
 
     write_samples(folder / SAMPLES, samples())
     splits = {problem.problem: problem.split for problem in problems}
-    write_meta(folder, trials, [splits[row["problem"]] for row in trials], statistics)
+    write_meta(folder, trials, [splits[row["problem"]] for row in trials])
     write_rows(folder / "trials.parquet", trials, TRIALS)
     write_rows(folder / "problems.parquet", [asdict(problem) for problem in problems])
     truths = [

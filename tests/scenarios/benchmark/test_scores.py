@@ -21,6 +21,7 @@ from scenarios.benchmark.score import (
 from scenarios.cli.main import main
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
+from tests.helpers.pages import BLOCKS
 
 NAME = "validation-turns-ideal_0"
 GROUPS = ("A1", "B1", "B2", "B3", "B4", "A4")
@@ -162,3 +163,16 @@ def test_the_command_prints_and_writes_the_same_figures(published, tmp_path, cap
     with pytest.raises(SystemExit) as ended:
         main(["score", str(tmp_path / "none.csv"), "--benchmark", str(published.benchmark.folder)])
     assert ended.value.code == 2
+
+
+def test_the_example_in_plain_python_writes_answers(published, tmp_path, monkeypatch, capsys):
+    (example,) = [block.text for block in BLOCKS if block.page == "benchmark.md" and block.title == "even.py"]
+    assert "heft" not in example and "scenarios" not in example
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "benchmark").symlink_to(published.benchmark.folder)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "even.py", "exec"), {})
+    count = sum(len(trial.time_s) for trial in published.benchmark.trajectories(NAME))
+    assert f"{NAME} ['name', 'blocks'] {count} wrenches" in capsys.readouterr().out
+    answer = read_answers(tmp_path / "even.csv", published.benchmark.problems)[NAME]
+    assert answer.mass_kg == answer.error_kg and len(answer.mass_kg) == len(GROUPS)

@@ -175,4 +175,4 @@ def test_the_example_in_plain_python_writes_answers(published, tmp_path, monkeyp
     count = sum(len(trial.time_s) for trial in published.benchmark.trajectories(NAME))
     assert f"{NAME} ['name', 'blocks'] {count} wrenches" in capsys.readouterr().out
     answer = read_answers(tmp_path / "even.csv", published.benchmark.problems)[NAME]
-    assert answer.mass_kg == answer.error_kg and len(answer.mass_kg) == len(GROUPS)
+    assert answer.mass_kg == answer.error_kg and answer.mass_kg is not None and len(answer.mass_kg) == len(GROUPS)

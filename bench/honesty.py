@@ -113,23 +113,32 @@ def judged(job: tuple[int, str, str], seed: int, methods: tuple[str, ...], given
     obj = drawn(index, seed, pattern)
     rng = np.random.default_rng(seed * 1000 + index)
     made, weight = trials(obj, pattern, setup, given or setup, rng)
-    rows, support = [], "rigid" if pattern in RIGID else "own_weight"
+    support = "rigid" if pattern in RIGID else "own_weight"
     least = tuple(bound(obj, made, weight, setup, support) / obj.total_mass)
-    for name in methods:
-        begin = time.process_time()
-        found = build_method(name, SETTINGS.get(name, {})).estimate(obj.shape, weight, made, 0)
-        spent, misfit = time.process_time() - begin, found.diagnostics.get("misfit", np.nan)
-        nad, off, width, errors = np.nan, np.zeros(0), np.nan, ()
-        if found.distribution is not None:
-            off, claimed = found.distribution.group_mass(obj.shape) - obj.group_mass, found.group_error(obj.shape)
-            nad, errors = float(np.abs(off).sum() / obj.total_mass), tuple(off / obj.total_mass)
-            if claimed is None:
-                off = np.zeros(0)
-            else:
-                off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
-        scores = found.status, nad, tuple(off), width, spent, misfit, errors, least
-        rows.append(Judged(index, world, pattern, name, *scores))
-    return rows
+    return [answered(name, obj, made, weight, (index, world, pattern), least) for name in methods]
+
+
+def answered(
+    name: str,
+    obj: ObjectModel,
+    made: list[Trajectory],
+    weight: float,
+    labels: tuple[int, str, str],
+    least: tuple[float, ...] = (),
+) -> Judged:
+    """Answer of one method to trials; `labels` are the first fields of the row, `least` its bound."""
+    begin = time.process_time()
+    found = build_method(name, SETTINGS.get(name, {})).estimate(obj.shape, weight, made, 0)
+    spent, misfit = time.process_time() - begin, found.diagnostics.get("misfit", np.nan)
+    nad, off, width, errors = np.nan, np.zeros(0), np.nan, ()
+    if found.distribution is not None:
+        off, claimed = found.distribution.group_mass(obj.shape) - obj.group_mass, found.group_error(obj.shape)
+        nad, errors = float(np.abs(off).sum() / obj.total_mass), tuple(off / obj.total_mass)
+        if claimed is None:
+            off = np.zeros(0)
+        else:
+            off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
+    return Judged(*labels, name, found.status, nad, tuple(off), width, spent, misfit, errors, least)
 
 
 def main() -> None:

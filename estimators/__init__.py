@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from estimators.hidden_states.published import PublishedHiddenStates
     from estimators.identifiability.information import expected, observed
     from estimators.identifiability.report import Identifiability
+    from estimators.learned.estimator import Learned
     from estimators.particles.observe import observe
     from estimators.particles.windows import Observations
     from estimators.posterior.estimator import Bayes
@@ -44,6 +45,7 @@ __all__ = [
     "HiddenStateEstimate",
     "HiddenStates",
     "Identifiability",
+    "Learned",
     "LeastSquares",
     "ModelErrors",
     "MujocoSysid",

@@ -14,6 +14,7 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
+from estimators.learned.estimator import Learned
 from estimators.posterior.estimator import Bayes
 from estimators.support_models.estimator import SupportAware
 from testbed.plugins import Role, check_name, configured, find_class, installed, source_hash
@@ -41,6 +42,7 @@ METHODS: dict[str, type[Estimator]] = {
     "nelder_mead": NelderMead,
     "least_squares": LeastSquares,
     "mujoco_sysid": MujocoSysid,
+    "learned": Learned,
 }
 """heft's own methods by name; their settings are the fields of the class."""
 
@@ -94,9 +96,14 @@ def check_installed(label: str, settings: Mapping[str, Any]) -> None:
         check()
 
 
-def code_of(name: str) -> dict[str, str]:
-    """Source hash of a method that is not heft's own; empty for heft's own, whose version decides."""
-    return {} if name in METHODS else {"source": source_hash(_class_of(name))}
+def code_of(label: str, settings: Mapping[str, Any]) -> dict[str, str]:
+    """What decides a method's answers beside settings and version: the source hash of one that is not heft's own, and
+    the `fingerprint` of a file that it reads, where it has one."""
+    name = kind_of(label, settings)
+    found = {} if name in METHODS else {"source": source_hash(_class_of(name))}
+    if name in METHODS and hasattr(METHODS[name], "fingerprint"):
+        found["file"] = build_method(label, settings).fingerprint()  # pyright: ignore[reportAttributeAccessIssue]
+    return found
 
 
 def _class_of(name: str) -> type[Estimator]:

@@ -234,7 +234,9 @@ def flawed_trial(
     h1, h2 = 2 * draw.axes
     along = unit @ np.array([[1 + h1, h2], [h2, 1 - h1]])
     push = drag[..., None] * along / np.sqrt(np.maximum((along * unit).sum(-1), 1e-30))[..., None]
-    push = push + departure(setup, segment, drag, push, world, rng.spawn(1)[0])
+    beside = rng.spawn(1)[0]  # draws of its own: the others are the same in every world
+    if setup.friction_law:
+        push = push + departure(setup, segment, drag, push, world, beside)
     com = np.einsum("nij,j->ni", out, to_com)
     com_acceleration = acceleration + alpha[:, None] * perpendicular(com) - spin[:, None] ** 2 * com
     pull = obj.total_mass * GRAVITY * draw.tilt

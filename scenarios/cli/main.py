@@ -39,6 +39,7 @@ COMMANDS = {
     "benchmark make": ("scenarios.cli.benchmark.make:make", "Simulate a benchmark with hidden test masses."),
     "benchmark answer": ("scenarios.cli.benchmark.answer:answer", "Answer a benchmark's problems by methods, as CSV."),
     "score": ("scenarios.cli.benchmark.score:score", "Score answers to a benchmark: accuracy, honesty, robot time."),
+    "learn": ("scenarios.cli.learn.learn:learn", "Train the network of the method `learned` on simulated trials."),
     "import": ("scenarios.cli.data:import_", "Read another robot's logs (CSV, Parquet, HDF5, MCAP, bags) as trials."),
     "estimate": ("scenarios.cli.data:estimate", "Estimate from the measured trials of a folder by every method."),
     "calibrate": ("scenarios.cli.data:calibrate", "Calibrate a force/torque sensor from a recording of still poses."),

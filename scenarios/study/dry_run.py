@@ -27,6 +27,7 @@ ESTIMATE_S = {
     "weighted_sampling": (0.35, 1.0),
     "diff_lcp": (1.4, 4.0),
     "mujoco_sysid": (100.0, 300.0),
+    "learned": (0.3, 0.4),
 }
 """Time of an estimate on one core [s]: in the ideal world, and where the world states errors of a setup."""
 OTHER_S = 0.4, 1.2

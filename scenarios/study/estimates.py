@@ -235,7 +235,7 @@ class EstimateTask:
             "reference": self.reference,
             "version": _version(),
         }
-        return [key_of(content | draws | code_of(self.kind) | {"seed": seed}) for seed in self.seeds]
+        return [key_of(content | draws | code_of(self.method, self.settings) | {"seed": seed}) for seed in self.seeds]
 
     def labels(self) -> dict[str, Any]:
         """Columns that place a row in the scenario."""

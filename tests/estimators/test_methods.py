@@ -16,6 +16,7 @@ from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
+from estimators.learned.estimator import Learned
 from estimators.posterior.estimator import Bayes
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
@@ -86,4 +87,4 @@ def test_conformance(estimator, draw, holds):
 
 def test_every_method_of_the_registry_is_held_to_the_protocol():
     held = {type(estimator) for estimator, _ in VARIANTS.values()}
-    assert set(METHODS.values()) == held | {MujocoSysid}  # slow: its own tests hold it
+    assert set(METHODS.values()) == held | {MujocoSysid, Learned}  # slow: their own tests hold them

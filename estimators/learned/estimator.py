@@ -1,0 +1,214 @@
+"""The learned posterior as an estimator, and the check that it is asked what it was trained on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from estimators.base import Estimate
+from estimators.identifiability.report import prior_masses
+from estimators.learned.checkpoint import COMMAND, Checkpoint, default_path
+from estimators.learned.examples import Examples, fixed_axes
+from estimators.learned.question import SUMMARY, Question, ask
+from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
+from estimators.posterior.posterior import LOOSE
+from estimators.wrench.support import ASSUMPTION, ERRORS
+from estimators.wrench.weighing import Weighing
+from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
+from testbed.worlds.setup_errors import EXACT_SETUP, PARAMETERS, SetupErrors
+
+if TYPE_CHECKING:
+    from estimators.learned.network import Network
+
+AXES = 8
+"""Axes, turned evenly, in which the network is asked; draws are shared among them."""
+SLACK = 0.05
+"""Part of the range of the examples by which a number may be outside."""
+LARGER = 1.25
+"""Factor by which a stated error of the setup may be larger than those trained on."""
+NOT_LEARNED = ("scale", "tool_mass", "tool_com")
+"""Errors that may be any: the weighing's is added to the draws, and a tare takes what the tool's weight adds."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Posterior that a network has learned from simulated trials (`heft learn`); needs the extra `learned`.
+
+    It knows joined blocks on their own weight with one friction, turns there and back and accelerated turns, in a lab.
+    Asked anything else it answers `assumption_violated`.
+    """
+
+    checkpoint: str = ""
+    """File that `heft learn` has written; if empty, heft/learned.pt in the user's cache folder."""
+    draws: int = 1024
+    """Draws of the posterior."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.checkpoint, str):
+            raise InvalidValueError("Learned.checkpoint", self.checkpoint, "the path of a file, as text")
+        check_integer("Learned.draws", self.draws, AXES)
+
+    @property
+    def path(self) -> Path:
+        """The checkpoint's file."""
+        return Path(self.checkpoint).expanduser() if self.checkpoint else default_path()
+
+    def check_installed(self) -> None:
+        """Check that package and checkpoint are there.
+
+        Raises:
+            InvalidValueError: the extra is not installed, or no checkpoint.
+            DamagedFileError: a damaged checkpoint, or one of another format.
+        """
+        self.check_package()
+        self._loaded()
+
+    @staticmethod
+    def check_package() -> None:
+        """Raise InvalidValueError where the extra is not installed."""
+        if find_spec("zuko") is None:
+            raise InvalidValueError("learned", "no package zuko", "pip install 'heft-testbed[learned]'")
+
+    def fingerprint(self) -> str:
+        """What tells one checkpoint from another: time of change and size of its file; empty without one."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return ""
+        return f"{found.st_mtime_ns}:{found.st_size}"
+
+    def estimate(
+        self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
+    ) -> Estimate:
+        """Mean of draws of the posterior; `seed` draws them.
+
+        Raises:
+            InvalidValueError: no weight, no checkpoint, or a grasp that the shape does not have.
+            DamagedFileError: a damaged checkpoint.
+        """
+        begin = time.perf_counter()
+        if weight is None or not (np.isfinite(weight) and weight > 0):
+            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        self.check_installed()
+        network, learned = self._loaded()
+        if why := _unlike(shape, trajectories, learned):
+            return Estimate(None, "assumption_violated", why, seconds=time.perf_counter() - begin)
+        question = ask(shape, weight, trajectories)
+        if question is None:
+            return Estimate(None, "no_data", NO_DATA, seconds=time.perf_counter() - begin)
+        mass, friction = _draws(network, question, weight, _scale_error(shape, question.setup), self.draws, seed)
+        per_group, misfit = shape.particles_per_group, question.first.misfit((mass.mean(0) / weight) * friction.mean())
+        covariance = np.atleast_2d(np.cov(mass / per_group, rowvar=False))
+        at = MassDistribution(mass.mean(0) / per_group, np.array([friction.mean()]))
+        answer = Estimate(
+            at,
+            "ok",
+            "",
+            covariance,
+            diagnostics={**misfit.diagnostics, "friction_0_std": float(friction.std())},
+            assumes=ASSUMPTION["own_weight"],
+        )
+        status, why = misfit.status, misfit.reason
+        if far := _outside(question, learned):
+            status, why = "assumption_violated", far
+        elif misfit.explains and (loose := _open(answer, shape, question.rank)):
+            status, why = "underdetermined", loose
+        return replace(answer, status=status, message=why, seconds=time.perf_counter() - begin)
+
+    def _loaded(self) -> tuple[Network, Checkpoint]:
+        """Network and checkpoint of the file."""
+        if not self.path.is_file():
+            raise InvalidValueError("Learned.checkpoint", str(self.path), f"a file that `{COMMAND}` has written")
+        return _load(self.path, self.fingerprint())
+
+
+@lru_cache(maxsize=2)
+def _load(path: Path, fingerprint: str) -> tuple[Network, Checkpoint]:
+    """Network of a file, once for each change of it."""
+    from estimators.learned.network import Network, Sizes  # noqa: PLC0415  zuko is an optional extra
+
+    learned = Checkpoint.load(path)
+    network = Network(Sizes(**learned.sizes))
+    network.load_state_dict(learned.weights)
+    return network.eval(), learned
+
+
+def _scale_error(shape: ObjectShape, setup: SetupErrors) -> float:
+    """Standard error of M, kg."""
+    return Weighing.of(shape, ERRORS["own_weight"].weight_error, setup).error
+
+
+def _draws(
+    network: Network, question: Question, weight: float, error: float, count: int, seed: int
+) -> tuple[Float[np.ndarray, "S G"], Float[np.ndarray, "S"]]:
+    """Draws of the groups' masses, kg, and of the friction; `error` is that of the weight, kg."""
+    rng, groups = np.random.default_rng(seed), len(question.center)
+    angle, mirrored = fixed_axes(AXES)
+    asked = Examples.of([question] * AXES)
+    noise = torch.tensor(rng.standard_normal((-(-count // AXES), AXES, groups)))
+    with torch.no_grad():
+        drawn = network.draw(asked.turned(angle, mirrored), noise)
+    load = torch.empty_like(drawn).scatter_(2, asked.order(angle).expand_as(drawn), drawn).reshape(-1, groups)
+    whole = np.maximum(weight + error * rng.standard_normal(len(load)), weight / 2)
+    friction = load.exp().sum(1).numpy() * weight / whole
+    return torch.softmax(load, 1).numpy() * whole[:, None], friction
+
+
+def _unlike(shape: ObjectShape, trajectories: Sequence[Trajectory], learned: Checkpoint) -> str:
+    """What the network has never met, of object, trials or stated errors, in words; empty if nothing."""
+    (fewest, most), trained = learned.origin.blocks, learned.origin.setup
+    used = [trial for trial in trajectories if trial.ok and trial.action.moves]
+    other = sorted({trial.action.kind for trial in used if not trial.action.turns})
+    stated = SetupErrors.largest([EXACT_SETUP, *(trial.setup for trial in used)])
+    found = {
+        ONE_PIECE: shape.chain is not None,
+        ONE_BODY: not shape.stands_in_groups,
+        "not learned: feet of known places, and meshes": shape.stands_on_feet or shape.is_uneven,
+        f"not learned: {shape.n_mu} frictions, only one": shape.n_mu > 1,
+        f"not learned: {shape.n_m} groups, only {fewest} to {most}": not fewest <= shape.n_m <= most,
+        f"not learned: {', '.join(other)}, only turns and accelerated turns": bool(other),
+    }
+    for name in set(PARAMETERS) - set(NOT_LEARNED):
+        given, known = getattr(stated, name), getattr(trained, name)
+        found[f"not learned: a stated {name} of {given:.3g}, only of {known:.3g}"] = given > LARGER * known
+    return "; ".join(sorted(words for words, holds in found.items() if holds))
+
+
+def _outside(question: Question, learned: Checkpoint) -> str:
+    """Number of the question farthest outside the examples, in words; empty if all are inside."""
+    span = learned.high - learned.low
+    slack = SLACK * span + 1e-3 * (1 + learned.high.abs())
+    over = torch.maximum(learned.low - question.summary, question.summary - learned.high) / slack
+    worst = int(over.argmax())
+    if over[worst] <= 1:
+        return ""
+    low, high, value = (float(each[worst]) for each in (learned.low, learned.high, question.summary))
+    return f"unlike the examples: {SUMMARY[worst]} is {value:.3g}, learned from {low:.3g} to {high:.3g}"
+
+
+def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:
+    """Why the masses are not determined, in words; empty if they are."""
+    if rank < shape.n_m:
+        return f"rank(Q) is {rank} and {shape.n_m} friction loads are unknown: turn about more points"
+    mass, error = answer.group_mass(shape), answer.group_error(shape)
+    assert mass is not None
+    assert error is not None
+    before = np.sqrt(np.diag(prior_masses(shape, mass.sum()))) * shape.particles_per_group
+    names = [
+        f"{name} {mass[g]:.3f} +- {error[g]:.3f} kg"
+        for g, name in enumerate(shape.group_names)
+        if error[g] > max(LOOSE * before[g], mass[g])
+    ]
+    return f"hardly known: {', '.join(names)}" if names else ""

@@ -1,0 +1,256 @@
+"""Trials of one object as the network reads them: windows, groups, and a first answer by linear equations.
+
+The first answer is one Gauss-Newton fit of the logarithms of the friction loads to Algorithm 1's equations, with the
+stated errors as covariance: the network learns how the truth departs from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.particles.friction_system import FrictionEquations, rank_of
+from estimators.particles.misfit import Misfit
+from estimators.particles.observe import observe
+from estimators.particles.pivots import inertia_map
+from estimators.particles.windows import Observations
+from estimators.wrench.support import ERRORS
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
+from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import SetupErrors
+
+ROUNDS = 15
+"""Gauss-Newton steps."""
+SPREAD, LEVEL = 0.8, 2.0
+"""Prior standard deviations of the logarithm of a group's load about the mean of all, and of that mean."""
+INERTIA = 0.02
+"""Error of a moment of inertia beside the scatter of its torques, as a part of itself: the sensor's gain."""
+VECTORS = 4
+"""Planar vectors at the head of an edge; then as many torques less one, which change sign in a mirror."""
+SUMMARY = (
+    "groups",
+    "side of a group, m",
+    "height, m",
+    "largest group over the smallest",
+    "reach over that of a disk",
+    "density, kg/m^3 in logarithm",
+    "windows at constant speed",
+    "accelerated turns",
+    "turn rate, rad/s",
+    "distance of pivots over the reach",
+    "friction",
+    "error of a window over the drag, in logarithm",
+    "expected error of a mass, in logarithm",
+    "misfit of friction, in logarithm",
+    "misfit of inertia, in logarithm",
+)
+"""Names of `Question.summary`."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirstAnswer:
+    """Fit of the friction loads of G groups to Algorithm 1's equations, all loads over the object's weight."""
+
+    mean: Float[Tensor, "G"]
+    """Logarithm of each group's load."""
+    covariance: Float[Tensor, "G G"]
+    """Covariance of `mean`."""
+    q: Float[Tensor, "R G"]
+    """Rows of friction, whitened."""
+    b: Float[Tensor, "R"]
+    """Their values."""
+    equations: FrictionEquations
+    """The rows in N and N m, with their errors."""
+
+    def misfit(self, load: Float[np.ndarray, "G"]) -> Misfit:
+        """Misfit of loads by the rows of friction."""
+        missing, freedom = self.b - self.q @ torch.tensor(load), len(self.b) - len(load)
+        return Misfit(float(missing @ missing) / max(freedom, 1), freedom)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """Trials of an object of G groups: W windows, an accelerated turn as one. Lengths in units of the object's reach,
+    forces in units of its drag."""
+
+    center: Float[Tensor, "G 2"]
+    """Middle of each group, from the mean of all."""
+    group: Float[Tensor, "G f"]
+    """Numbers of each group: `mean` over that of even masses, its error, and its part of the footprint."""
+    edges: Float[Tensor, "W G e"]
+    """Window with group: force of the group's drag of 1 N, wrench, residual, lever; their torques; errors, kind."""
+    summary: Float[Tensor, "n"]
+    """Numbers of the whole, `SUMMARY`."""
+    rank: int
+    """Directions of the friction loads that the trials show."""
+    first: FirstAnswer
+    """The first answer, with its equations."""
+    setup: SetupErrors
+    """Errors of the setup as stated."""
+
+
+def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Question | None:
+    """Question of an object on its groups' own weight, with one friction; None without a turn at constant speed.
+
+    Args:
+        shape: geometry and groups.
+        weight: M, kg.
+        trajectories: turns.
+    """
+    every = observe(shape, trajectories, ERRORS["own_weight"])
+    if every is None or bool(every.accelerated.all()):
+        return None
+    windows = merged(every)
+    trials = TrialWindows.about(shape, weight, windows, ERRORS["own_weight"])
+    per_group = torch.tensor(shape.particles_per_group, dtype=torch.float64)
+    spins, inertia = _inertias(shape, weight, every)
+    start = math.log(float(windows.drag) / (weight * GRAVITY * shape.n_m))
+    even = torch.full((shape.n_m,), start, dtype=torch.float64)
+    known = spins, inertia, even
+    first = _first_answer(trials, even, *known)
+    first = _first_answer(trials, first.mean, *known)  # the errors of heavy groups are larger
+    mean, covariance, system, q = first.mean, first.covariance, first.equations, first.q
+    load = mean.exp()
+    drag, reach = float(load.sum()) * weight * GRAVITY, float(trials.model.reach)
+    unit = torch.tensor([drag, drag, drag * reach], dtype=torch.float64)
+    rows = (system.q / per_group).reshape(-1, 3, shape.n_m) * drag / unit[:, None]
+    wrench = system.b.reshape(-1, 3) / unit
+    residual = wrench - rows @ (load / load.sum())
+    error = system.covariance.diagonal().reshape(-1, 3).sqrt() / unit
+    middle = torch.tensor(np.array([shape.middle_of(g) for g in range(shape.n_m)]))
+    lever = (middle - windows.grasp[:, None]) / reach
+    edges = _edges(rows, wrench, residual, lever, error, windows.accelerated)
+    area = per_group / per_group.sum()
+    spread = covariance.diagonal().sqrt()
+    misfit = first.misfit(load.numpy())
+    off = float((inertia - spins @ torch.softmax(mean, 0)).square().mean()) if len(inertia) else 1.0
+    steady = ~windows.accelerated
+    side = shape.cell * math.sqrt(float(per_group.mean()))
+    distance = windows.twist[steady, :2].norm(dim=1) / windows.twist[steady, 2].abs()
+    summary = (
+        shape.n_m,
+        side,
+        shape.height,
+        float(per_group.max() / per_group.min()),
+        reach / math.sqrt(len(shape.particles) * shape.cell**2 / (2 * math.pi)),
+        math.log(weight / (len(shape.particles) * shape.cell**2 * shape.height)),
+        int(steady.sum()),
+        int((~steady).sum()),
+        float(windows.twist[steady, 2].abs().mean()),
+        float(distance.mean()) / reach,
+        float(load.sum()),
+        float(error.log().mean()),
+        float(spread.log().mean()),
+        math.log(misfit.value),
+        math.log(off + 1e-3),
+    )
+    return Question(
+        (middle - middle.mean(0)) / reach,
+        torch.stack([mean - load.sum().log() - area.log(), spread.log(), area * shape.n_m], 1),
+        edges,
+        torch.tensor(summary, dtype=torch.float64),
+        rank_of(q.numpy()),
+        first,
+        windows.setup,
+    )
+
+
+def _first_answer(
+    trials: TrialWindows,
+    guess: Float[Tensor, "G"],
+    spins: Float[Tensor, "A G"],
+    inertia: Float[Tensor, "A"],
+    prior: Float[Tensor, "G"],
+) -> FirstAnswer:
+    """Fit with the errors at a guess of the logarithms of the loads; `prior` is their mean before the trials."""
+    weight, per_group = trials.weight, torch.tensor(trials.shape.particles_per_group, dtype=torch.float64)
+    mass = weight * torch.softmax(guess, 0) / per_group
+    equations = trials.friction_equations(MassDistribution(mass.numpy(), np.array([float(guess.exp().sum())])))
+    whitened = equations.whitened()
+    q, b = whitened.q / per_group * weight * GRAVITY, whitened.b
+    return FirstAnswer(*_fitted(q, b, spins, inertia, prior), q, b, equations)
+
+
+def merged(windows: Observations) -> Observations:
+    """Windows with those of each accelerated turn as one: accelerations of both signs cancel, and friction is left."""
+    keys = [(trial, 0 if swung else k + 1) for k, (trial, swung) in enumerate(_kinds(windows))]
+    place = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    group = torch.tensor([place[key] for key in keys])
+    found = windows.merged(group)
+    return found.like(found.by_window | {"noise": found.noise / torch.bincount(group)[:, None, None]})
+
+
+def _kinds(windows: Observations) -> list[tuple[int, bool]]:
+    """Trial of each window, and whether it accelerates."""
+    return list(zip(windows.trial.tolist(), windows.accelerated.tolist(), strict=True))
+
+
+def _inertias(
+    shape: ObjectShape, weight: float, windows: Observations
+) -> tuple[Float[Tensor, "A G"], Float[Tensor, "A"]]:
+    """Moments of inertia about the grasp point by each accelerated turn, in units of their errors: rows a and values y
+    with a x = y, x the groups' shares of the mass.
+
+    The slope of torque over angular acceleration; friction is the same at each.
+    """
+    rows, values = [], []
+    for trial in windows.trial[windows.accelerated].unique():
+        own = windows.accelerated & (windows.trial == trial)
+        if int(own.sum()) < 4:
+            continue
+        alpha, torque = (each[own].numpy() for each in (windows.acceleration[:, 2], windows.wrench[:, 2]))
+        (slope, _), variance = np.polyfit(alpha, torque, 1, cov=True)
+        error = math.hypot(math.sqrt(variance[0, 0]), INERTIA * slope)
+        grasp = windows.grasp[own][:1].numpy()
+        rows.append(weight * inertia_map(shape, grasp)[0] / shape.particles_per_group / error)
+        values.append(slope / error)
+    return torch.tensor(np.array(rows)).reshape(-1, shape.n_m), torch.tensor(np.array(values), dtype=torch.float64)
+
+
+def _fitted(
+    q: Float[Tensor, "R G"],
+    b: Float[Tensor, "R"],
+    spins: Float[Tensor, "A G"],
+    inertia: Float[Tensor, "A"],
+    prior_mean: Float[Tensor, "G"],
+) -> tuple[Float[Tensor, "G"], Float[Tensor, "G G"]]:
+    """Most likely logarithms of the loads over the weight, and their covariance about it.
+
+    Friction rows are linear in the loads, those of inertia in their shares.
+    """
+    count = q.shape[1]
+    even = torch.full((count, count), 1 / count, dtype=torch.float64)
+    prior = (torch.eye(count, dtype=torch.float64) - even) / SPREAD**2 + even / LEVEL**2
+    y, information = prior_mean, prior
+    for _ in range(ROUNDS):
+        load, share = y.exp(), torch.softmax(y, 0)
+        known = spins @ share
+        slopes = torch.cat([q * load, spins * share - known[:, None] * share])
+        missing = torch.cat([b - q @ load, inertia - known])
+        information = slopes.T @ slopes + prior
+        y = y + torch.linalg.solve(information, slopes.T @ missing - prior @ (y - prior_mean)).clamp(-1, 1)
+    return y, torch.linalg.inv(information)
+
+
+def _edges(
+    rows: Float[Tensor, "W 3 G"],
+    wrench: Float[Tensor, "W 3"],
+    residual: Float[Tensor, "W 3"],
+    lever: Float[Tensor, "W G 2"],
+    error: Float[Tensor, "W 3"],
+    accelerated: Tensor,
+) -> Float[Tensor, "W G e"]:
+    """Edges of windows and groups, `VECTORS` first, then torques, then what no turn of the axes changes."""
+    per = rows.transpose(1, 2)
+    own = [each[:, None].expand(-1, per.shape[1], -1) for each in (wrench, residual)]
+    plain = torch.cat([error[:, :2].mean(1, keepdim=True), error[:, 2:]], 1).log()
+    plain = torch.cat([plain, accelerated[:, None].double()], 1)[:, None].expand(-1, per.shape[1], -1)
+    three = [per, *own]
+    return torch.cat([*[each[..., :2] for each in three], lever, *[each[..., 2:] for each in three], plain], -1)

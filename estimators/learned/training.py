@@ -1,0 +1,89 @@
+"""Training of the network on examples, judged on objects that it was not trained on."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.learned.checkpoint import Checkpoint, Origin
+from estimators.learned.examples import Examples, fixed_axes
+from estimators.learned.network import Network, Sizes, departures
+
+BATCH = 64
+"""Examples of a step."""
+RATE, DECAY = 2e-3, 1e-2
+"""Largest step of AdamW, and its weight decay."""
+HELD_OUT = 10
+"""One object in as many is held out."""
+
+
+def train(
+    examples: Examples,
+    held_out: Examples,
+    origin: Origin,
+    epochs: int,
+    progress: Callable[[str, int, int], object] = lambda stage, done, total: None,
+    seconds: float = 0.0,
+) -> Checkpoint:
+    """Network of the epoch that is best on the examples held out.
+
+    Args:
+        examples: examples to train on, each time in axes drawn anew.
+        held_out: examples of other objects.
+        origin: where they are from; its seed draws weights and batches.
+        epochs: passes through the examples.
+        progress: called after each epoch with stage, epochs done and epochs in all.
+        seconds: CPU time that the examples took, s.
+    """
+    begin = time.process_time()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(origin.seed)
+        network = Network(Sizes(examples.edges.shape[-1], examples.group.shape[-1], examples.summary.shape[-1]))
+        network.standardize(examples)
+        steps = -(-len(examples) // BATCH)
+        optimizer = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=max(epochs * steps, 2))
+        best, state = float("inf"), network.state_dict()
+        for epoch in range(epochs):
+            network.train()
+            for part in torch.randperm(len(examples)).chunk(steps):
+                optimizer.zero_grad()
+                loss(network, in_drawn_axes(examples[part])).backward()
+                torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+                optimizer.step()
+                schedule.step()
+            network.eval()
+            with torch.no_grad():
+                value = float(loss(network, held_out.turned(*fixed_axes(len(held_out)))))
+            if value < best:
+                best, state = value, copy.deepcopy(network.state_dict())
+            progress("epochs", epoch + 1, epochs)
+    low, high = examples.summary.min(0).values, examples.summary.max(0).values
+    spent = seconds + time.process_time() - begin
+    return Checkpoint(origin, network.plain, state, low, high, best, first_loss(held_out), spent)
+
+
+def loss(network: Network, examples: Examples) -> Float[Tensor, ""]:
+    """Negative log density of the logarithm of a group's load, nats: mean over all groups."""
+    root = torch.linalg.cholesky(examples.covariance).diagonal(dim1=1, dim2=2).log()
+    density = network.log_prob(examples) - (root * examples.groups).sum(1)
+    return -density.sum() / examples.groups.sum()
+
+
+def in_drawn_axes(examples: Examples) -> Examples:
+    """The examples, each in axes turned and mirrored at random."""
+    count = len(examples)
+    return examples.turned(2 * torch.pi * torch.rand(count, dtype=torch.float64), torch.rand(count) < 0.5)
+
+
+def first_loss(examples: Examples) -> float:
+    """`loss` of the first answer itself, a normal distribution with its errors."""
+    root = torch.linalg.cholesky(examples.covariance).diagonal(dim1=1, dim2=2).log()
+    square = departures(examples).square() / 2 + math.log(2 * math.pi) / 2 + root
+    return float((square * examples.groups).sum() / examples.groups.sum())

@@ -1,0 +1,1 @@
+"""Training of methods that learn from simulated trials."""

@@ -1,0 +1,31 @@
+"""Trials of an object in the analytic lab, and the object with its groups called otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.learned.examples import RATES
+from estimators.testing.analytic_lab import LAB, Draw, contacts, flawed_trial
+from testbed.actions.rotate import Rotate
+from testbed.objects.model import ObjectShape
+
+SEED = 7
+
+
+def lab_trials(obj, count=4, seed=3):
+    rng = np.random.default_rng(seed)
+    feet, draw = contacts(obj, "corners", LAB, rng), Draw.of(LAB, rng)
+    pivots = rng.uniform(-0.05, 0.05, (count, 2))
+    actions = [Rotate(k % len(obj.shape.grasps), duration=4.0, pivot=tuple(p), back=True) for k, p in enumerate(pivots)]
+    return [replace(flawed_trial(obj, a, feet, draw, rng, RATES[0]), setup=LAB) for a in actions]
+
+
+def renamed(shape, order):
+    """The shape with its groups called otherwise: the new group g is the old order[g]."""
+    place = np.argsort(order)
+    values = {
+        name: getattr(shape, name) for name in ("particles", "friction_group", "cell", "height", "grasps", "fill")
+    }
+    return ObjectShape(mass_group=place[shape.mass_group], **values)

@@ -48,7 +48,8 @@ def bar(index: int, seed: int) -> ObjectModel:
     mass = np.exp(rng.uniform(np.log(0.05), np.log(0.8), count)).tolist()
     shared, cells = [0] * count, parse_layout(["1" * count])
     mu = [float(rng.uniform(0.15, 0.9))]
-    return block_object("bar", cells, 0.08, 0.03, mass=mass, friction=mu, friction_group=shared, grid=3)
+    of = {"mass": mass, "friction": mu, "friction_group": shared}
+    return block_object("bar", cells, size=0.08, height=0.03, grid=3, **of)
 
 
 def rows_of(job: tuple[str, int], seed: int, methods: tuple[str, ...]) -> list[Judged]:

@@ -108,7 +108,8 @@ class Learned:
         question = ask(shape, weight, trajectories)
         if question is None:
             return Estimate(None, "no_data", NO_DATA, seconds=time.perf_counter() - begin)
-        mass, friction = _draws(network, question, weight, _scale_error(shape, question.setup), self.draws, seed)
+        scale = Weighing.of(shape, ERRORS["own_weight"].weight_error, question.setup)
+        mass, friction = _draws(network, question, weight, scale.error, self.draws, seed)
         per_group, misfit = shape.particles_per_group, question.first.misfit((mass.mean(0) / weight) * friction.mean())
         covariance = np.atleast_2d(np.cov(mass / per_group, rowvar=False))
         at = MassDistribution(mass.mean(0) / per_group, np.array([friction.mean()]))
@@ -143,11 +144,6 @@ def _load(path: Path, fingerprint: str) -> tuple[Network, Checkpoint]:
     network = Network(Sizes(**learned.sizes))
     network.load_state_dict(learned.weights)
     return network.eval(), learned
-
-
-def _scale_error(shape: ObjectShape, setup: SetupErrors) -> float:
-    """Standard error of M, kg."""
-    return Weighing.of(shape, ERRORS["own_weight"].weight_error, setup).error
 
 
 def _draws(

@@ -7,7 +7,7 @@ Needs the extra `learned`.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -118,11 +118,6 @@ class Network(nn.Module):
         shifted = torch.nn.functional.pad(torch.stack([known, torch.ones_like(z)], -1)[:, :-1], (0, 0, 1, 0))
         mask = torch.ones(z.shape[1], z.shape[1], dtype=torch.bool).triu(1)
         return self.in_order(token + self.before(shifted), src_mask=mask)
-
-    @property
-    def plain(self) -> dict[str, int]:
-        """`Sizes` as plain numbers."""
-        return asdict(self.sizes)
 
 
 def departures(examples: Examples) -> Float[Tensor, "N G"]:

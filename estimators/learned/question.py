@@ -180,16 +180,12 @@ def _first_answer(
 
 def merged(windows: Observations) -> Observations:
     """Windows with those of each accelerated turn as one: accelerations of both signs cancel, and friction is left."""
-    keys = [(trial, 0 if swung else k + 1) for k, (trial, swung) in enumerate(_kinds(windows))]
+    kinds = zip(windows.trial.tolist(), windows.accelerated.tolist(), strict=True)
+    keys = [(trial, 0 if swung else k + 1) for k, (trial, swung) in enumerate(kinds)]
     place = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     group = torch.tensor([place[key] for key in keys])
     found = windows.merged(group)
     return found.like(found.by_window | {"noise": found.noise / torch.bincount(group)[:, None, None]})
-
-
-def _kinds(windows: Observations) -> list[tuple[int, bool]]:
-    """Trial of each window, and whether it accelerates."""
-    return list(zip(windows.trial.tolist(), windows.accelerated.tolist(), strict=True))
 
 
 def _inertias(

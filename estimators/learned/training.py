@@ -6,6 +6,7 @@ import copy
 import math
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 
 import torch
 from jaxtyping import Float
@@ -66,7 +67,7 @@ def train(
             progress("epochs", epoch + 1, epochs)
     low, high = examples.summary.min(0).values, examples.summary.max(0).values
     spent = seconds + time.process_time() - begin
-    return Checkpoint(origin, network.plain, state, low, high, best, first_loss(held_out), spent)
+    return Checkpoint(origin, asdict(network.sizes), state, low, high, best, first_loss(held_out), spent)
 
 
 def loss(network: Network, examples: Examples) -> Float[Tensor, ""]:

@@ -22,8 +22,8 @@ PART = 10
 def learn(
     *,
     output: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    objects: Annotated[int, tyro.conf.arg(metavar="N")] = 500,
-    epochs: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    objects: Annotated[int, tyro.conf.arg(metavar="N")] = 300,
+    epochs: Annotated[int, tyro.conf.arg(metavar="N")] = 60,
     seed: Annotated[int, tyro.conf.arg(metavar="S")] = 0,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:

@@ -68,10 +68,12 @@ def rows_of(job: tuple[str, int], seed: int, methods: tuple[str, ...]) -> list[J
 
 def cells(part: list[Judged]) -> list[str]:
     """Cells of the answers of one method under one condition."""
-    nad = 100 * np.array([row.nad for row in part])
+    nad = 100 * np.array([row.nad for row in part if not np.isnan(row.nad)])
+    if len(nad) == 0:
+        return [part[0].status, "", "", "", "0", "0", ""]
     again = np.random.default_rng(0).choice(nad, (2000, len(nad)))
-    low, high = np.nanquantile(np.nanmedian(again, axis=1), [0.025, 0.975])
-    found = [f"{np.nanmedian(nad):.1f} [{low:.1f}, {high:.1f}]", f"{np.nanmean(nad):.1f}"]
+    low, high = np.quantile(np.median(again, axis=1), [0.025, 0.975])
+    found = [f"{np.median(nad):.1f} [{low:.1f}, {high:.1f}]", f"{np.mean(nad):.1f}"]
     if not (claimed := [np.array(row.off) for row in part if len(row.off)]):
         return [*found, "", "", "", "", ""]
     held = np.array([[(np.abs(off) < NINETY).sum(), len(off)] for off in claimed])

@@ -22,6 +22,8 @@ from testbed.worlds.setup_errors import SetupErrors
 
 FORMAT = 1
 """Version of the format; one of another version is refused."""
+LEAST_FREEDOM = 15
+"""Degrees of freedom below which a misfit may be large by chance."""
 COMMAND = "heft learn"
 """Command that makes a checkpoint."""
 
@@ -70,6 +72,8 @@ class Checkpoint:
     """Least of each number of `SUMMARY` among the examples, (n,)."""
     high: Tensor
     """Largest of each, (n,)."""
+    most_misfit: float
+    """Largest misfit of the first answer among examples of `LEAST_FREEDOM` degrees of freedom."""
     loss: float
     """Negative log density of the logarithm of a group's load, nats, on objects that were not trained on."""
     first: float

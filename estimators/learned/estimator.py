@@ -16,9 +16,10 @@ from jaxtyping import Float
 
 from estimators.base import Estimate
 from estimators.identifiability.report import prior_masses
-from estimators.learned.checkpoint import COMMAND, Checkpoint, default_path
+from estimators.learned.checkpoint import COMMAND, LEAST_FREEDOM, Checkpoint, default_path
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import SUMMARY, Question, ask
+from estimators.particles.misfit import NEXT
 from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
 from estimators.posterior.posterior import LOOSE
 from estimators.wrench.support import ASSUMPTION, ERRORS
@@ -124,6 +125,8 @@ class Learned:
         status, why = misfit.status, misfit.reason
         if far := _outside(question, learned):
             status, why = "assumption_violated", far
+        elif misfit.explains and (strange := _strange(question, learned)):
+            status, why = "unexplained", strange
         elif misfit.explains and (loose := _open(answer, shape, question.rank)):
             status, why = "underdetermined", loose
         return replace(answer, status=status, message=why, seconds=time.perf_counter() - begin)
@@ -192,6 +195,17 @@ def _outside(question: Question, learned: Checkpoint) -> str:
         return ""
     low, high, value = (float(each[worst]) for each in (learned.low, learned.high, question.summary))
     return f"unlike the examples: {SUMMARY[worst]} is {value:.3g}, learned from {low:.3g} to {high:.3g}"
+
+
+def _strange(question: Question, learned: Checkpoint) -> str:
+    """Misfit of the first answer beyond that of every example, in words; empty if it is not.
+
+    The stated errors of a lab are wide: other errors, such as a rigid support, hide below the limit of other methods.
+    """
+    first = question.first.misfit(question.first.mean.exp().numpy())
+    if first.freedom < LEAST_FREEDOM or first.value <= learned.most_misfit:
+        return ""
+    return f"misfit {first.value:.2g}, where no example has more than {learned.most_misfit:.2g}; {NEXT}"
 
 
 def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:

@@ -34,6 +34,7 @@ INERTIA = 0.02
 """Error of a moment of inertia beside the scatter of its torques, as a part of itself: the sensor's gain."""
 VECTORS = 4
 """Planar vectors at the head of an edge; then as many torques less one, which change sign in a mirror."""
+MISFIT = "misfit of friction, in logarithm"
 SUMMARY = (
     "groups",
     "side of a group, m",
@@ -48,7 +49,7 @@ SUMMARY = (
     "friction",
     "error of a window over the drag, in logarithm",
     "expected error of a mass, in logarithm",
-    "misfit of friction, in logarithm",
+    MISFIT,
     "misfit of inertia, in logarithm",
 )
 """Names of `Question.summary`."""

@@ -12,9 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.learned.checkpoint import Checkpoint, Origin
+from estimators.learned.checkpoint import LEAST_FREEDOM, Checkpoint, Origin
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.network import Network, Sizes, departures
+from estimators.learned.question import MISFIT, SUMMARY
+from estimators.particles.misfit import UNEXPLAINED
 
 BATCH = 64
 """Examples of a step."""
@@ -66,8 +68,11 @@ def train(
                 best, state = value, copy.deepcopy(network.state_dict())
             progress("epochs", epoch + 1, epochs)
     low, high = examples.summary.min(0).values, examples.summary.max(0).values
+    freedom = 3 * examples.windows.sum(1) - examples.groups.sum(1)
+    misfits = examples.summary[freedom >= LEAST_FREEDOM, SUMMARY.index(MISFIT)].exp()
+    most = max(float(misfits.max()), 1.0) if len(misfits) else UNEXPLAINED
     spent = seconds + time.process_time() - begin
-    return Checkpoint(origin, asdict(network.sizes), state, low, high, best, first_loss(held_out), spent)
+    return Checkpoint(origin, asdict(network.sizes), state, low, high, most, best, first_loss(held_out), spent)
 
 
 def loss(network: Network, examples: Examples) -> Float[Tensor, ""]:

@@ -52,7 +52,7 @@ class AnswerRun:
         problem, label = self.waiting.popleft()
         settings = self.methods[label]
         asked = {"problem": asdict(problem), "method": kind_of(label, settings), "settings": settings}
-        key = key_of(asked | code_of(kind_of(label, settings)) | {"version": version("heft-testbed")})
+        key = key_of(asked | code_of(label, settings) | {"version": version("heft-testbed")})
         if (known := self.store.note(key)) is not None:
             self._put(problem, label, known)
         else:

@@ -83,7 +83,7 @@ class Learned:
             raise InvalidValueError("learned", "no package zuko", "pip install 'heft-testbed[learned]'")
 
     def fingerprint(self) -> str:
-        """What tells one checkpoint from another: time of change and size of its file; empty without one."""
+        """Identity of the checkpoint: time of change and size of its file; empty without one."""
         try:
             found = self.path.stat()
         except OSError:

@@ -24,7 +24,7 @@ WORLDS = ("ideal", "lab", "rough")
 SENSING = "ft300s"
 """Sensing preset of all trials."""
 PUBLISHED_SECRET = "heft-benchmark-1"
-"""Secret of train and validation, which everybody may have."""
+"""Secret of train and validation, which is public."""
 MASS_KG, LINK_KG = (0.05, 0.8), (0.03, 0.3)
 """Least and most mass of a block, and of a smaller one in links."""
 FRICTION, HINGE_NM = (0.2, 0.7), (0.003, 0.02)

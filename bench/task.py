@@ -135,7 +135,7 @@ def tasks(folder: Path, objects: int | None) -> Iterator[tuple[Path, str, str, t
 
 def printed(title: str, label: str, groups: dict[str, pd.DataFrame]) -> None:
     """Print a row for each group of outcomes."""
-    forces = [f"level at {force:g} N, %" for force in FORCES]
+    forces = [f"{force:g} N, %" for force in FORCES]
     columns = (label, "answers", "NAD, %", "c off, mm", *forces, "at goal, %", "from goal, mm")
     table = Table(*columns, title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name, rows in groups.items():

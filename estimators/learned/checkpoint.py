@@ -35,7 +35,7 @@ def default_path() -> Path:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a network was trained on."""
+    """Origin of a network: the objects, trials and errors of its training."""
 
     objects: int
     """Number of objects."""

@@ -15,13 +15,12 @@ import torch
 from jaxtyping import Float
 
 from estimators.base import Estimate
-from estimators.identifiability.report import prior_masses
 from estimators.learned.checkpoint import COMMAND, LEAST_FREEDOM, Checkpoint, default_path
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
 from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
-from estimators.posterior.posterior import LOOSE
+from estimators.posterior.posterior import loose_groups
 from estimators.wrench.support import ASSUMPTION, ERRORS
 from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
@@ -166,7 +165,7 @@ def _draws(
 
 
 def _unlike(shape: ObjectShape, trajectories: Sequence[Trajectory], learned: Checkpoint) -> str:
-    """What the network has never met, of object, trials or stated errors, in words; empty if nothing."""
+    """Properties of object, trials or stated errors outside the training, in words; empty if there are none."""
     (fewest, most), trained = learned.origin.blocks, learned.origin.setup
     used = [trial for trial in trajectories if trial.ok and trial.action.moves]
     other = sorted({trial.action.kind for trial in used if not trial.action.turns})
@@ -212,13 +211,7 @@ def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:
     """Why the masses are not determined, in words; empty if they are."""
     if rank < shape.n_m:
         return f"rank(Q) is {rank} and {shape.n_m} friction loads are unknown: turn about more points"
-    mass, error = answer.group_mass(shape), answer.group_error(shape)
-    assert mass is not None
-    assert error is not None
-    before = np.sqrt(np.diag(prior_masses(shape, mass.sum()))) * shape.particles_per_group
-    names = [
-        f"{name} {mass[g]:.3f} +- {error[g]:.3f} kg"
-        for g, name in enumerate(shape.group_names)
-        if error[g] > max(LOOSE * before[g], mass[g])
-    ]
+    assert answer.distribution is not None
+    assert answer.covariance is not None
+    names = loose_groups(shape, answer.distribution.mass, answer.covariance)
     return f"hardly known: {', '.join(names)}" if names else ""

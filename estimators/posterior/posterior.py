@@ -277,7 +277,7 @@ class Posterior:
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
         directions = f"mass and friction cannot be told apart: {'; '.join(report.unobservable)}" if open_ else ""
-        if misfit.explains and not open_ and (loose := self._loose(shape, at.mass, covariance)):
+        if misfit.explains and not open_ and (loose := loose_groups(shape, at.mass, covariance)):
             open_, directions = True, f"hardly known: {', '.join(loose)}"
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
         status = "underdetermined" if open_ else misfit.status if self.optimum.converged else "not_converged"
@@ -296,18 +296,6 @@ class Posterior:
                 "rounds": float(self.optimum.rounds),
             },
         )
-
-    def _loose(
-        self, shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
-    ) -> list[str]:
-        """Groups whose masses are consistent with 0 and are not known much better than before any trial."""
-        count, masses = shape.particles_per_group, mass * shape.particles_per_group
-        errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
-        return [
-            f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
-            for g, name in enumerate(shape.group_names)
-            if errors[g] > max(LOOSE * before[g], masses[g])
-        ]
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:
         """Most likely values of a block and their standard deviations, in the block's unit, each in its shape."""
@@ -361,3 +349,22 @@ class Posterior:
                 if std < HINGE_PRIOR / 2:
                     found |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": widening * float(std)}
         return found
+
+
+def loose_groups(
+    shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
+) -> list[str]:
+    """Groups whose masses are consistent with 0 and are not known much better than before any trial, in words.
+
+    Args:
+        shape: geometry and groups.
+        mass: particle masses, kg.
+        covariance: their covariance, kg^2.
+    """
+    count, masses = shape.particles_per_group, mass * shape.particles_per_group
+    errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
+    return [
+        f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
+        for g, name in enumerate(shape.group_names)
+        if errors[g] > max(LOOSE * before[g], masses[g])
+    ]

@@ -215,7 +215,7 @@ def flawed_trial(
     offset, angle = setup.grasp_offset * rng.standard_normal(2), setup.grasp_angle * rng.standard_normal()
     offset = offset + rotation_2d(grasp.angle) @ (draw.tcp * [1, -1])
     turn = rotation_2d(angle + draw.tcp_angle)
-    lever = (feet.position - grasp.position) @ turn.T + offset  # from the TCP, in the axes that are told
+    lever = (feet.position - grasp.position) @ turn.T + offset  # from the TCP, in the stated axes
     to_com = turn @ (obj.center_of_mass - grasp.position) + offset
     time, yaw, spin, alpha, segment = motion(action, rate)
     yaw0 = rng.uniform(-0.3, 0.3)

@@ -40,7 +40,7 @@ from testbed.validation import check_positive
 from viz.figures.maps import error_figure
 
 Backend = Literal["expected", "analytic", "mujoco"]
-"""What an action gives: predicted information alone, a record of exact friction, or a simulated trial."""
+"""Result of an action: predicted information alone, a record of exact friction, or a simulated trial."""
 Reward = Literal["nad", "log_nad", "final"]
 """Fall of the expected NAD or of its logarithm per robot second, or minus the true NAD at the end."""
 ATTEMPTS = 100

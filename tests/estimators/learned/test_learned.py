@@ -55,7 +55,7 @@ def test_training_lowers_the_loss(trained):
 
 
 def test_draws_and_density_are_of_one_distribution(trained):
-    """What noise draws, the flow maps back to that noise, and its density integrates to one over a group's load."""
+    """Draws of the flow map back to their noise, and its density integrates to one over a group's load."""
     _, learned, examples = trained
     network, two = network_of(learned), examples[examples.groups.sum(1) == examples.groups.sum(1).min()][:1]
     noise = torch.randn(5, 1, two.mean.shape[1], dtype=torch.float64, generator=torch.Generator().manual_seed(0))

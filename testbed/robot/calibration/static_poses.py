@@ -317,7 +317,9 @@ def _likeliest(
 
     # the scatter half by noise, half by a walk
     start = np.log([max(scatter / mean / 2, 1.0), max(3 * scatter / len(left), 1e-3 * mean)])
-    bounds = [(0.0, None), (None, None)]
+    # far beyond what the residuals can show, but finite: a line search that leaves them overflows
+    most = 100 * max(scatter, mean)
+    bounds = [(0.0, np.log(most / mean)), (np.log(1e-6 * mean), np.log(most))]
     best = minimize(lambda x: cost(covariance(x)), start, method="L-BFGS-B", bounds=bounds)
     if cost(alone) - float(best.fun) < WALKS:
         return 0.0, np.linalg.cholesky(alone)

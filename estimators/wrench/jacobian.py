@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacrev, vmap
+from torch.func import vmap
 
 Theta = dict[str, Tensor]
 """Unknowns by name: masses, and the errors of the setup in their own units."""
@@ -30,12 +30,24 @@ def linearized(
         chunk: windows that are worked on at once; all if left out.
     """
 
-    def twice(theta: Theta, window: Window) -> tuple[Tensor, Tensor]:
-        rows = predict(theta, window)
-        return rows, rows
+    sizes = [value.numel() for value in theta.values()]
 
-    slopes, rows = vmap(jacrev(twice, has_aux=True), (None, 0), chunk_size=chunk)(theta, windows)
-    return rows, {name: slope.flatten(2) if slope.dim() > 2 else slope[..., None] for name, slope in slopes.items()}
+    def rows_of(flat: Float[Tensor, "n"], window: Window) -> Float[Tensor, "r"]:
+        parts = zip(theta.items(), flat.split(sizes), strict=True)
+        return predict({name: part.reshape(value.shape) for (name, value), part in parts}, window)
+
+    count, found = len(next(iter(windows.values()))), []
+    # not `torch.func.jacrev`, whose first call imports torch's compiler: two to three core-seconds in every process
+    for begin in range(0, count, chunk or count):
+        part = {name: field[begin : begin + (chunk or count)] for name, field in windows.items()}
+        flat = torch.cat([value.flatten() for value in theta.values()]).expand(min(chunk or count, count - begin), -1)
+        flat = flat.clone().requires_grad_()
+        rows = vmap(rows_of)(flat, part)
+        each = torch.eye(rows.shape[1], dtype=rows.dtype)[:, None].expand(-1, len(rows), -1)
+        slopes = torch.autograd.grad(rows, flat, each, is_grads_batched=True)[0]
+        found.append((rows.detach(), slopes.transpose(0, 1)))
+    rows, slopes = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return rows, dict(zip(theta, slopes.split(sizes, -1), strict=True))
 
 
 def zeros(**shapes: tuple[int, ...]) -> Theta:

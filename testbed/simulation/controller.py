@@ -34,20 +34,22 @@ class Servo:
         self._force = model.sensor("ft/force").adr[0]
         self._torque = model.sensor("ft/torque").adr[0]
         self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
+        # what it gathered on the way down would shift the hand as it closes
+        self._integrates = motion.phase >= Phase.GRASP
+        self._holds = (motion.phase >= Phase.SETTLE) & (motion.phase < Phase.RELEASE)
+        self._tares, self._settles = motion.phase == Phase.TARE, motion.phase == Phase.SETTLE
 
     def command(self, data: mujoco.MjData, tick: int) -> None:
         """Set joint speeds and grip for the coming tick."""
         reference = self._motion.q[tick] + self._shift
-        if (
-            self._motion.phase[tick] >= Phase.GRASP
-        ):  # what it gathered on the way down would shift the hand as it closes
+        if self._integrates[tick]:
             self._integral += self._settings.servo.integral_gain * self._dt * (reference - data.qpos[:7])
         target = reference + self._lag * self._motion.qd[tick] + self._integral
         data.ctrl[:7] = (target - data.act[:7]) / self._dt
         if self._weld is None:
             data.ctrl[7] = self._motion.grip[tick] * self._settings.grip.force
         else:
-            self._hold(data, held=Phase.SETTLE <= self._motion.phase[tick] < Phase.RELEASE)
+            self._hold(data, held=bool(self._holds[tick]))
 
     def _hold(self, data: mujoco.MjData, *, held: bool) -> None:
         """Weld hand and object in their present pose, or release them; the fingers stay open."""
@@ -65,11 +67,10 @@ class Servo:
 
     def measure(self, data: mujoco.MjData, tick: int) -> None:
         """Read the sensor as the robot does: zero it while hovering, null load and tilt in `nulling` ticks."""
-        phase = self._motion.phase[tick]
-        if phase == Phase.TARE:
+        if self._tares[tick]:
             self._tare = self._wrench_world(data)
         elif self._motion.nulling[tick]:
-            nulls = phase == Phase.SETTLE or self._motion.closed
+            nulls = self._settles[tick] or self._motion.closed
             gain = self._settings.servo.null_gain if nulls else self._settings.servo.comply_gain
             self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection(data)
 

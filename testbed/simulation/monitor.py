@@ -25,7 +25,11 @@ SATURATION_TIME = 0.1
 """Longest time of a joint at its working torque [s]."""
 LEFT = 0.1
 """Time without contact after which a fingertip has left the object [s]."""
-_FAULTS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+_FAULTS = [
+    int(each)
+    for each in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
+_NONE = np.zeros(7)
 
 _PoseInHand = tuple[np.ndarray, np.ndarray]
 """Position [m] and orientation of the object in the hand."""
@@ -61,7 +65,7 @@ class Monitor:
         self._tip = model.geom("fingertip").id if motion.closed else None
         self._touched, self._least_touched = 0, LEAST_CONTACT * motion.pace * self._rate
         self._since = 0
-        self._saturated = np.zeros(7)
+        self._saturated = _NONE
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
         self._reason = ""
@@ -71,8 +75,9 @@ class Monitor:
     def trouble(self, data: mujoco.MjData, tick: int) -> bool:
         """Check one tick; True if the trial must end."""
         speed = np.abs(data.qvel[:7]) / JOINT_SPEED_LIMIT
-        warned = any(data.warning[w].number for w in _FAULTS)
-        if warned or not np.isfinite(data.sensordata).all() or not speed.max() < IMPOSSIBLE_SPEED:
+        fastest = speed.max()
+        warned = data.warning.number[_FAULTS].any()
+        if warned or not np.isfinite(data.sensordata).all() or not fastest < IMPOSSIBLE_SPEED:
             self._state = {
                 "qpos": np.nan_to_num(data.qpos).tolist(),
                 "qvel": np.nan_to_num(data.qvel).tolist(),
@@ -82,8 +87,9 @@ class Monitor:
         if tick % 50 == 0:
             self._good = {"qpos": data.qpos.tolist()}
         torque = np.abs(data.sensordata[self._torques]) / self._limit
-        self._torque, self._speed = max(self._torque, torque.max()), max(self._speed, speed.max())
-        self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0)
+        largest = torque.max()
+        self._torque, self._speed = max(self._torque, largest), max(self._speed, fastest)
+        self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0) if largest > 0.999 else _NONE
         if self._saturated.max() > SATURATION_TIME:
             joint = int(self._saturated.argmax())
             return self._end(
@@ -91,10 +97,10 @@ class Monitor:
                 f"torque: joint {joint + 1} at its working torque of {self._limit[joint]:g} N m "
                 f"at {tick / self._rate:.2f} s",
             )
-        if speed.max() > 1.05:
+        if fastest > 1.05:
             joint = int(speed.argmax())
             return self._end(
-                "limit", f"speed: joint {joint + 1} at {speed.max():.2f} of its limit at {tick / self._rate:.2f} s"
+                "limit", f"speed: joint {joint + 1} at {fastest:.2f} of its limit at {tick / self._rate:.2f} s"
             )
         return self._left(data, tick) if self._tip is not None else self._held[tick] and self._slipped(data, tick)
 
@@ -147,10 +153,11 @@ class Monitor:
 def _shift_on_table(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:
     """Shift of the grasp point [m] and turn of the object [rad], across the approach axis."""
     (x, y), (u, v) = before[1][:2, 0], now[1][:2, 0]
-    turn = math.atan2(x * v - y * u, np.array([x, y]) @ [u, v])
+    turn = math.atan2(x * v - y * u, x * u + y * v)
     # the body's origin is not the grasp point: take the part of its shift that the turn explains away
     c, s = math.cos(turn), math.sin(turn)
-    return float(np.linalg.norm(now[0][:2] - np.array([[c, -s], [s, c]]) @ before[0][:2])), abs(turn)
+    (a, b), (p, q) = before[0][:2], now[0][:2]
+    return math.hypot(p - c * a + s * b, q - s * a - c * b), abs(turn)
 
 
 def _shift_in_space(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import (
     origin_velocity,
-    perpendicular,
     pose_from_point,
     rotation_2d,
     rotation_matrix,
@@ -135,7 +134,7 @@ class SimulationRunner:
         model, data = scene.model, mujoco.MjData(scene.model)
         place(scene, data, motion)
         surface = None if draw is None else draw.surface
-        rest = model.pair_friction[scene.foot_pairs]
+        rest, feet = model.pair_friction[scene.foot_pairs], _Feet(scene)
         if log is not None:
             log.start(scene, len(motion.q))
         servo = Servo(model, motion, self.settings)
@@ -146,7 +145,7 @@ class SimulationRunner:
         for tick in range(len(motion.q)):
             servo.command(data, tick)
             if surface is not None:
-                model.pair_friction[scene.foot_pairs] = rest * surface.factor(*_feet_in_motion(scene, data))[:, None]
+                model.pair_friction[scene.foot_pairs] = rest * surface.factor(*feet.motion(data))[:, None]
             sample[:] = 0.0
             for _ in range(steps):
                 mujoco.mj_step(model, data)
@@ -285,15 +284,22 @@ def _as_held(motion: Motion, nominal: Grasp, held: Grasp) -> Motion:
     return replace(motion, object_pose=pose, center=(float(x), float(y)))
 
 
-def _feet_in_motion(scene: Scene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Position of every foot [m], world, shape (n_feet, 2), and its speed [m/s], shape (n_feet,)."""
-    position = data.geom_xpos[scene.foot_geoms, :2]
-    if mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_JOINT, "hinge_0") >= 0:  # links move on their own
-        found = np.zeros((len(position), 6))
-        for geom, twist in zip(scene.foot_geoms.tolist(), found, strict=True):
-            mujoco.mj_objectVelocity(scene.model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, twist, 0)
-        return position, np.hypot(found[:, 3], found[:, 4])
-    address = scene.model.joint("object").dofadr[0]
-    lever = position - data.xpos[scene.object_body, :2]
-    velocity = data.qvel[address : address + 2] + data.qvel[address + 5] * perpendicular(lever)
-    return position, np.hypot(velocity[:, 0], velocity[:, 1])
+class _Feet:
+    """Positions of the feet [m], world, shape (n_feet, 2), and their speeds [m/s], shape (n_feet,)."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model, self._geoms, self._body = scene.model, scene.foot_geoms, scene.object_body
+        self._dof = scene.model.joint("object").dofadr[0]
+        self._articulated = mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_JOINT, "hinge_0") >= 0
+
+    def motion(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and speeds now."""
+        position = data.geom_xpos[self._geoms, :2]
+        if self._articulated:  # links move on their own
+            found = np.zeros((len(position), 6))
+            for geom, twist in zip(self._geoms.tolist(), found, strict=True):
+                mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, twist, 0)
+            return position, np.hypot(found[:, 3], found[:, 4])
+        (x, y), spin = data.qvel[self._dof : self._dof + 2], data.qvel[self._dof + 5]
+        lever = position - data.xpos[self._body, :2]
+        return position, np.hypot(x - spin * lever[:, 1], y + spin * lever[:, 0])

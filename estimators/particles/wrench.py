@@ -85,7 +85,7 @@ class WrenchModel:
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         weighed = torch.stack([part @ loads.per_mass for part in of_group])
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
-        return WrenchModel(table.inertial_rows()[:, :3] @ model.parts.T, weighed, carried)
+        return WrenchModel(table.inertial_rows() @ model.parts.T, weighed, carried)
 
     @staticmethod
     def stacked(draws: Sequence[WrenchModel]) -> WrenchModel:

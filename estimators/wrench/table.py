@@ -117,9 +117,16 @@ class Table:
         """Inertial wrenches and hinge torques of particles of a `mass`, kg, without friction."""
         return self.undragged.at_middles.rows({"mass": mass})
 
-    def inertial_rows(self) -> Float[Tensor, "K 3+H P"]:
-        """Derivatives of the inertial wrenches and hinge torques in the mass of each particle."""
-        return self.undragged.at_middles.linearized(zeros(mass=(len(self.points),)))[1]["mass"]
+    def inertial_rows(self) -> Float[Tensor, "K 3 P"]:
+        """Derivatives of the inertial wrenches in the mass of each particle."""
+        one = {"mass": torch.ones(len(self.points), dtype=torch.float64)}
+
+        def each(window: Window) -> Tensor:
+            middle = self._moved({}, window, self.model.particles)
+            force, torque = self._inertial(one, window, middle)
+            return torch.cat([force, (torque + cross(middle.place, force))[..., None]], -1).mean(0).mT
+
+        return vmap(each, chunk_size=self.chunk)(self.windows)
 
     @property
     def at_middles(self) -> Table:

@@ -1,0 +1,136 @@
+"""NAD in a lab against robot time, with and without a plan and pads: python bench/lab_time.py DIR [--figure FILE].
+
+I1 to F2 in MuJoCo's lab under an FT-300S, two labs each: turns about the grasps (as `heft run lab_fixed`) and planned
+trials (`heft run lab`), on unknown points of contact and on four printed pads a block. Turns are 2, 4 and 8 there and
+back with 1, 2 and 4 accelerated ones; plans end after 95, 190 and 380 s. DIR keeps trials and estimates; a run that was
+interrupted goes on. Options: --seeds N, --objects NAMES, --workers N, --secret TEXT.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from estimators.evaluation.statistics import AXIS, Claims, select
+from scenarios import load_results, load_scenario, run_scenario
+from scenarios.cli.run import show_progress
+from scenarios.config import Scenario
+from scenarios.results.store import rows_of
+
+PADS = "_on_pads"
+BUDGETS = [95.0, 190.0, 380.0]
+TURNS = {"policy.pivots": [2, 4, 8], "policy.accelerated": [1, 2, 4]}
+METHODS = "bayes", "hidden_states", "least_squares"
+KINDS = {
+    "turns": ("lab_fixed", False),
+    "turns, on pads": ("lab_fixed", True),
+    "planned": ("lab", False),
+    "planned, on pads": ("lab", True),
+}
+"""Scenario of each kind of trials, and whether the blocks stand on pads."""
+
+
+def scenario_of(kind: str, objects: list[str], seeds: int) -> Scenario:
+    """Scenario of a kind of trials, at three robot times."""
+    name, on_pads = KINDS[kind]
+    if on_pads:
+        known = load_scenario("lab_pads")[1].objects
+        objects = [path for path in known if Path(path).stem.removesuffix(PADS) in objects]
+    found = load_scenario(name)[1].model_dump(exclude_unset=True)
+    turns = name == "lab_fixed"
+    if not turns:
+        found["policy"] |= {"touches": 60}  # the budget ends it
+    sweep = {"axes": TURNS, "mode": "zip"} if turns else {"axes": {"policy.budget_s": BUDGETS}}
+    methods = {each: {} for each in METHODS}
+    return Scenario.model_validate(found | {"objects": objects, "seeds": seeds, "sweep": sweep, "methods": methods})
+
+
+@dataclass(frozen=True)
+class Point:
+    """Answers of a method at one robot time."""
+
+    method: str
+    robot_s: float
+    nad: list[float]
+    """NAD in percent of every answer."""
+    sets: int
+    """Number of sets of trials."""
+    claims: Claims | None
+
+    @property
+    def mean(self) -> float:
+        """Mean NAD, where every set has an answer."""
+        return fmean(self.nad) if len(self.nad) == self.sets else math.nan
+
+
+def points_of(folder: Path) -> list[Point]:
+    """Answers of every method at every robot time of a run."""
+    rows = rows_of(load_results(folder))
+    axis = next(name for name in rows[0] if name.startswith(AXIS))
+    found = []
+    for method in METHODS:
+        for value in dict.fromkeys(row[axis] for row in rows):
+            each = select(rows, method=method, **{axis: value})
+            nad = [100 * row["nad"] for row in each if row["nad"] is not None]
+            found.append(Point(method, fmean(row["robot_s"] for row in each), nad, len(each), Claims.of(each)))
+    return found
+
+
+def drawn(points: dict[str, list[Point]]) -> Figure:
+    """Mean NAD of `bayes` against robot time, a curve for each kind of trials."""
+    figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+    axis = figure.subplots()
+    for kind, found in points.items():
+        curve = [(each.robot_s, each.mean) for each in found if each.method == "bayes"]
+        axis.plot(*zip(*curve, strict=True), "o-" if "planned" in kind else "s--", label=kind)
+    axis.set_ylim(bottom=0)
+    axis.set_xlabel("robot time, s")
+    axis.set_ylabel("mean NAD, %")
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure
+
+
+def main() -> None:
+    """Run what is missing, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--objects", nargs="+", default=["I1", "I2", "L1", "L2", "F1", "F2"])
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--secret")
+    given = parser.parse_args()
+    points = {}
+    for kind in KINDS:
+        folder = given.folder / kind.replace(", ", "_").replace(" ", "_")
+        with show_progress() as progress:
+            run_scenario(
+                scenario_of(kind, given.objects, given.seeds), folder, given.workers, progress, secret=given.secret
+            )
+        points[kind] = points_of(folder)
+    table = Table(
+        "trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", box=box.MARKDOWN
+    )
+    for kind, found in points.items():
+        for each in found:
+            held, claims = ("", "", ""), each.claims
+            if claims is not None:
+                held = f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", f"{100 * claims.silent:.0f} %"
+            nad = f"{each.mean:.2g}" if each.mean == each.mean else f"{len(each.nad)} of {each.sets} answered"
+            table.add_row(kind, f"`{each.method}`", f"{each.robot_s:.0f}", nad, *held)
+    Console(width=120).print(table)
+    if given.figure:
+        drawn(points).savefig(given.figure, dpi=150)
+
+
+if __name__ == "__main__":
+    main()

@@ -183,12 +183,14 @@ class Design:
         scale = np.outer(belief.count, belief.count)
         for information, trials in zip(belief.information, self.information, strict=True):
             before = np.linalg.inv(information)
-            seen = trials.rows @ before
-            inner = seen @ trials.rows.transpose(0, 2, 1) + np.eye(trials.rows.shape[1])
-            lower = np.linalg.cholesky(inner)
-            taken = np.linalg.solve(lower, seen[:, :, :n_m])
-            after = before[:n_m, :n_m] - taken.transpose(0, 2, 1) @ taken
-            found += CRITERIA[self.criterion](after * scale, belief.weight)
+            for count in np.unique(trials.lengths):
+                (of_length,) = np.nonzero(trials.lengths == count)
+                rows = trials.rows[of_length, :count]
+                seen = (rows.reshape(-1, rows.shape[-1]) @ before).reshape(rows.shape)
+                inner = seen @ rows.transpose(0, 2, 1) + np.eye(count)
+                taken = np.linalg.solve(np.linalg.cholesky(inner), seen[:, :, :n_m])
+                after = before[:n_m, :n_m] - taken.transpose(0, 2, 1) @ taken
+                found[of_length] += CRITERIA[self.criterion](after * scale, belief.weight)
         return found / len(self.information)
 
     def information_of(self, chosen: Sequence[int]) -> Float[np.ndarray, "S U U"]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import get_args
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from estimators.identifiability.predicted import predicted_drags, predicted_pushes, predicted_windows
 from estimators.identifiability.predicted_lifts import predicted_lifts
@@ -82,6 +83,11 @@ class TrialInformation:
     """n_m + n_mu: masses and frictions come first."""
     hinges: Bool[np.ndarray, "U"]
     """True for the friction of hinges."""
+
+    @cached_property
+    def lengths(self) -> Int[np.ndarray, "C"]:
+        """Number of rows of each trial; zeros follow."""
+        return (self.rows.any(axis=2) * np.arange(1, self.rows.shape[1] + 1)).max(axis=1, initial=0)
 
     def information(self, chosen: Sequence[int] | None = None) -> Float[np.ndarray, "U U"]:
         """Information of the chosen trials together, or of all; a trial may be named more than once."""

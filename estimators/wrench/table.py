@@ -83,10 +83,14 @@ class Table:
     @cached_property
     def on_field(self) -> Table:
         """The windows with friction's field over the table under each particle, for `place_friction`."""
-        size, field = WAVE_PARTS.sqrt(), torch.zeros((), dtype=torch.float64)
-        for pose in (poses := self.windows["poses"]).unbind(1):  # part by part: of all at once, memory runs out
+        poses, size = self.windows["poses"], WAVE_PARTS.sqrt().repeat(2)
+        field = torch.zeros(*self.lever.shape[:2], len(size), dtype=torch.float64)
+        cosines, sines = field.tensor_split(2, -1)
+        for pose in poses.unbind(1):  # part by part, in place: of all at once, memory runs out
             phase = (pose[:, None, :2] + rotate(pose[:, None, 2], self.lever)) @ WAVES.T  # (K, P, n)
-            field = field + torch.cat([size * torch.cos(phase), size * torch.sin(phase)], -1) / poses.shape[1]
+            cosines += phase.cos()
+            sines += phase.sin_()
+        field *= size / poses.shape[1]
         return replace(self, windows=self.windows | {"field": field})
 
     @cached_property

@@ -27,6 +27,7 @@ from rich.table import Table
 from scipy.stats import beta
 
 from estimators.action_selection.design import Guess, prior_belief
+from estimators.evaluation.statistics import NINETY
 from estimators.identifiability.information import shown_information
 from estimators.registry import build_method
 from estimators.testing.analytic_lab import (
@@ -51,8 +52,6 @@ from testbed.worlds.setup_errors import SetupErrors
 
 IDEAL = SetupErrors()
 WORLDS = {"ideal": IDEAL, "lab": LAB, "rough": ROUGH, "plastic": replace(LAB, friction_law=0.1)}
-NINETY = 1.645
-"""Standard errors within which 90 % of errors lie."""
 SETTINGS = {"explicit_state": {"use_weight": True, "weighting": "covariance"}}
 
 

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from estimators.evaluation.statistics import NINETY
 from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
 from estimators.wrench.model import ModelErrors, ParticleModel
@@ -35,8 +36,6 @@ from testbed.robot.calibration import StaticPose, calibrate
 from testbed.toml import load_toml
 from testbed.trajectory import Trajectory
 
-HOLD = 1.645
-"""Standard errors of a 90 % interval."""
 MOST_SETS = 30
 """Most sets of a number of pushes, drawn where there are more."""
 HALVES = 10
@@ -72,7 +71,7 @@ def pushes(mappings: Sequence[Path], sizes: Sequence[int]) -> Table:
                 sets = [sets[i] for i in sorted(chosen)]
             found = [each for each in (center(obj, one) for one in sets) if each is not None]
             away = [math.hypot(*each.center) for each in found]
-            held = np.array([np.abs(each.center) <= HOLD * each.error for each in found])
+            held = np.array([np.abs(each.center) <= NINETY * each.error for each in found])
             place = [f"{c:.1f} +- {s:.1f}" for c, s in zip(found[0].center, found[0].error, strict=True)]
             table.add_row(
                 obj.name,

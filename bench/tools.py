@@ -23,6 +23,7 @@ from rich.table import Table
 
 from estimators.action_selection.pushes import RandomPushes
 from estimators.base import ActionPolicy, Estimate
+from estimators.evaluation.statistics import NINETY
 from estimators.inertial import (
     InertialEstimate,
     InertialParameters,
@@ -156,7 +157,7 @@ def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
         1e3 * float(np.linalg.norm(answer.hidden.center_of_mass - model.center_of_mass)),
         100 * abs(answer.hidden.inertia_cm / model.inertia_cm - 1),
         100 * float(np.abs(masses - model.group_mass).sum()) / model.total_mass,
-        float(np.mean(np.abs(masses - model.group_mass) <= 1.645 * error + 1e-12)),
+        float(np.mean(np.abs(masses - model.group_mass) <= NINETY * error + 1e-12)),
     )
 
 

@@ -21,7 +21,6 @@ from statistics import median
 import numpy as np
 import torch
 from rich.console import Console
-from rich.table import Table
 from scipy.optimize import minimize
 
 from estimators.evaluation.statistics import NINETY
@@ -32,6 +31,7 @@ from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.results.store import Store, rows_of
@@ -72,9 +72,8 @@ def _given(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
 
 def coverage(folder: Path, options: argparse.Namespace) -> None:
     """A row an object."""
-    table = Table(title=f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws")
-    for column in ("object", "blocks", "held, %", "error over claimed", "NAD, %"):
-        table.add_column(column, justify="right")
+    title = f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws"
+    table = open_table("object", "blocks", "held, %", "error over claimed", "NAD, %", title=title)
     scores, draws = [], 1 if options.sensing == "ideal" else options.draws
     for each in tried(folder, options):
         truth, off = each.model.truth.mass, []
@@ -127,11 +126,9 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
                 answers.append((answer.distribution.mass - truth.mass) * shape.particles_per_group)
         limits[name], of_sensor[name], own[name] = stated[0], sensor[0], np.array(answers)
     errors = {"hidden_states (fresh draws)": own} | _stored(folder, options, set(limits))
-    table = Table(
-        title=f"error over the Cramer-Rao bound, {options.support}, {options.sensing}, {len(objects)} objects"
-    )
-    for column in ("method", "objects", "pooled", "median", "sensor alone: pooled", "median"):
-        table.add_column(column, justify="right" if column != "method" else "left")
+    title = f"error over the Cramer-Rao bound, {options.support}, {options.sensing}, {len(objects)} objects"
+    columns = ("method", "objects", "pooled", "median", "sensor alone: pooled", "median")
+    table = open_table(*columns, left=("method",), title=title)
     for method, off in errors.items():
         cells = []
         for limit in (limits, of_sensor):

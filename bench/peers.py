@@ -8,15 +8,14 @@ It is `heft run bench/peers.toml`, needs the extra sysid, and goes on where it w
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from scenarios.cli.main import main as heft
+from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 
 
@@ -26,7 +25,8 @@ def nine(folder: str) -> None:
     results = load_results(folder)
     names = list(dict.fromkeys(results["object"]))
     for sensing, rows in results.groupby("sensing", sort=False):
-        table = _table(f"{sensing}: NAD, %", (*names, "MPD, cm", "s", "rollouts", "robot s"))
+        first, columns = f"{sensing}: NAD, %", (*names, "MPD, cm", "s", "rollouts", "robot s")
+        table = open_table(first, *columns, left=(first,), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         for method, own in rows.groupby("method", sort=False):
             nads = [f"{100 * own[own['object'] == name]['nad'].mean():.1f}" for name in names]
             rest = (100 * own["mpd_open_loop_m"].mean(), own["seconds"].mean())
@@ -40,13 +40,6 @@ def nine(folder: str) -> None:
         best = 100 * rows["mpd_open_loop_of_truth_m"].mean()
         table.add_row("the true masses", *[""] * len(names), f"{best:.2g}", "", "", "")
         Console(width=120).print(table)
-
-
-def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for column in columns:
-        table.add_column(column, justify="right")
-    return table
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from estimators.evaluation.statistics import NINETY
 from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
 from estimators.wrench.model import ModelErrors, ParticleModel
+from scenarios.cli.terminal import open_table
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import Mapping
@@ -58,10 +59,8 @@ def main() -> None:
 
 def pushes(mappings: Sequence[Path], sizes: Sequence[int]) -> Table:
     """Center of mass and friction of each plate, by all of its pushes and by sets of them: medians over the sets."""
-    table = Table(title="bayes on measured pushes; the truth is c = 0")
     numbers = ("pushes", "sets", "c_x, mm", "c_y, mm", "|c|, mm", "claimed, mm", "90 % hold", "friction", "ok")
-    for name in ("plate", *numbers):
-        table.add_column(name, justify="left" if name == "plate" else "right")
+    table = open_table("plate", *numbers, left=("plate",), title="bayes on measured pushes; the truth is c = 0")
     for mapping in mappings:
         obj, trials = read(mapping)
         for size in [*(size for size in sizes if size < len(trials)), len(trials)]:
@@ -135,9 +134,9 @@ def departures(mappings: Sequence[Path]) -> Table:
     As parts of the friction, whose coefficient is the mean over a plate's pushes; over a push's windows where there are
     several.
     """
-    table = Table(title="friction of each push beside Coulomb's of the true plate, %")
-    for name in ("plate", "push", "turn rate, rad/s", "windows", "along", "across", "around"):
-        table.add_column(name, justify="left" if name == "plate" else "right")
+    columns = ("plate", "push", "turn rate, rad/s", "windows", "along", "across", "around")
+    title = "friction of each push beside Coulomb's of the true plate, %"
+    table = open_table(*columns, left=("plate",), title=title)
     every = []
     for mapping in mappings:
         obj, trials = read(mapping)
@@ -180,9 +179,8 @@ def poses(file: Path, rest: Path) -> Table:
         StaticPose(Rotation.from_matrix(turn).as_quat(scalar_first=True), read, error)
         for turn, read in zip(turns, wrench, strict=True)
     ]
-    table = Table(title=f"{len(every)} still poses")
-    for name in ("poses", "mass, kg", "c, mm", "misfit", "apart, standard errors: mass, c_x, c_y, c_z"):
-        table.add_column(name, justify="right")
+    columns = ("poses", "mass, kg", "c, mm", "misfit", "apart, standard errors: mass, c_x, c_y, c_z")
+    table = open_table(*columns, title=f"{len(every)} still poses")
     whole = calibrate(every)
     table.add_row(
         "all", f"{whole.mass:.4f} +- {whole.mass_std:.4f}", _place(whole.com, whole.com_std), f"{whole.misfit:.3g}"

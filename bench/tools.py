@@ -19,7 +19,6 @@ import numpy as np
 import trimesh
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from estimators.action_selection.pushes import RandomPushes
 from estimators.base import ActionPolicy, Estimate
@@ -36,6 +35,7 @@ from estimators.inertial import (
     true_body,
 )
 from estimators.support_models.estimator import SupportAware
+from scenarios.cli.terminal import open_table
 from scenarios.config import load_scenario
 from scenarios.study.meshes import with_meshes
 from testbed.actions.accelerate import Accelerate
@@ -231,9 +231,9 @@ def main() -> None:
         for label, trial in felt(model, given.draws):
             for used, method, one in answers(trial):
                 rows.setdefault((label, used, method), []).append(one)
-    table = Table(box=box.SIMPLE)
-    for heading in ("world", "trials", "method", "M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none"):
-        table.add_column(heading, justify="left" if heading in ("world", "trials", "method") else "right")
+    numbers = ("M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none")
+    names = ("world", "trials", "method")
+    table = open_table(*names, *numbers, left=names, box=box.SIMPLE)
     for key, found in rows.items():
         known = [one for one in found if one is not None]
         middle = (

@@ -15,7 +15,8 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.table import Table
+
+from scenarios.cli.terminal import open_table
 
 PARTS = {
     "_tried": "trials: planning, scene, physics, writing",
@@ -107,9 +108,7 @@ def main() -> None:
     for task in tasks:
         seconds[task.name] += task.cpu
     driver, workers = core_seconds(resource.RUSAGE_SELF), core_seconds(resource.RUSAGE_CHILDREN)
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("part")
-    table.add_column("core-seconds", justify="right")
+    table = open_table("part", "core-seconds", left=("part",), box=box.SIMPLE_HEAD)
     for name, part in PARTS.items():
         table.add_row(part, f"{seconds[name]:.1f}")
     table.add_row("start of the workers", f"{workers - sum(seconds.values()):.1f}")

@@ -1,4 +1,4 @@
-"""Real tools felt in simulation: python bench/tools.py [SET] [--draws N] [--figure FILE].
+"""Real tools felt in simulation: python bench/tools.py [SET] [--draws N].
 
 SET is a copy of the public set (docs/tools.md); without it, the one tool is a mallet that is built here. Every tool
 with a grasp is turned on the table and lifted from pose to pose, and every tool is pushed, in an ideal world and in a
@@ -54,8 +54,6 @@ from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import world
-from viz.figures.maps import save_figure
-from viz.figures.objects import object_page
 
 GRASPS = 3
 """Grasps of a tool that are used, those nearest the middle."""
@@ -211,11 +209,10 @@ def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
 
 
 def main() -> None:
-    """Print the table, and draw the objects on one page."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--draws", type=int, default=3, help="draws of the sensor and of the lab")
-    parser.add_argument("--figure", type=Path, help="picture of all tools, written as FILE.pdf and FILE.png")
     given = parser.parse_args()
     rows: dict[tuple[str, str, str], list[Judged | None]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -224,8 +221,6 @@ def main() -> None:
         else:
             scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
             models = [load_object(path) for path in scenario.objects]
-    if given.figure is not None:
-        save_figure(object_page(models), given.figure)
     for model in models:
         print(f"{model.name}: {len(model.shape.grasps)} grasps", flush=True)
         for label, trial in felt(model, given.draws):

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 
 AXIS = "axis.policy.kind"
@@ -48,12 +48,9 @@ def main() -> None:
     rows = load_results(sys.argv[1] if len(sys.argv) > 1 else "results/ablation")
     drawn = rows["object"].str.startswith("drawn_")
     named = list(dict.fromkeys(rows.loc[~drawn, "object"]))
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        title=f"NAD, %: own weight, ft300s; {rows['seed'].nunique()} draws with trials of their own",
-    )
-    for column in ("", *named, f"{rows.loc[drawn, 'object'].nunique()} drawn", "answers, %", "trials", "robot s", "s"):
-        table.add_column(column, justify="right" if column else "left")
+    columns = ("", *named, f"{rows.loc[drawn, 'object'].nunique()} drawn", "answers, %", "trials", "robot s", "s")
+    title = f"NAD, %: own weight, ft300s; {rows['seed'].nunique()} draws with trials of their own"
+    table = open_table(*columns, left=("",), box=box.SIMPLE_HEAD, title=title)
     for name, policy, method in STEPS:
         part = rows[(rows[AXIS] == policy) & (rows["method"] == method) & (rows["status"] != "infeasible")]
         of, answered = part["object"].to_numpy(), part["nad"].notna().to_numpy()

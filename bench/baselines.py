@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.baselines.base import FRICTION_RANGE, ITERATIONS, Baseline, LogCoordinates
+from estimators.baselines.base import ITERATIONS, Baseline, LogCoordinates
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.problem import Problem, Weighting
@@ -41,11 +41,8 @@ SEEDS = range(5)
 BELOW = 2
 """Seed that draws a first friction of 0.30; the truth is 0.5."""
 BUDGETS = (500, 5000, 50_000)
-DECAYS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)
 STEPS = {"as published": BUDGETS, "with M": (500,), "covariance": (500,), "with M, covariance": (500, 5000)}
 """Budgets of Explicit State."""
-RATES = (0.05, 0.1, 0.2)
-"""First steps of Adam and RMSProp; 0.05 is the default."""
 CASES: tuple[tuple[str, bool, Weighting], ...] = (
     ("as published", False, "velocity"),
     ("with M", True, "velocity"),
@@ -117,13 +114,7 @@ def uniform(name: str) -> np.ndarray:
 
 
 def weighted_sampling() -> None:
-    """NAD against decay of the deviation, and against the number of draws."""
-    rows = []
-    for title, use_weight, _ in CASES[:2]:
-        for decay in DECAYS:
-            method = WeightedSampling(decay=decay, use_weight=use_weight)
-            rows.append([f"{title}, decay {decay:g}", *(over_seeds(n, method) for n in OBJECTS)])
-    show(f"Weighted Sampling Search, {ITERATIONS} draws: NAD, %, median and range of 5 seeds", ["", *OBJECTS], rows)
+    """NAD against the number of draws, with the decay as it is and stretched over them."""
     rows = []
     for title, use_weight, _ in CASES[:2]:
         for budget in BUDGETS:
@@ -138,7 +129,7 @@ def weighted_sampling() -> None:
 
 
 def explicit_state() -> None:
-    """NAD of each optimiser and budget, and what the loss looks like at the truth."""
+    """NAD of each optimiser and budget, and of the minimum that Newton's method finds."""
     rows = []
     for title, use_weight, weighting in CASES:
         for budget in STEPS[title]:
@@ -151,23 +142,10 @@ def explicit_state() -> None:
                 rows.append([f"{title}, {budget} steps, {k}", *(values.get(n, "") for n in OBJECTS)])
     show("Explicit State from uniform mass and friction 0.30: NAD, %", ["", *OBJECTS], rows)
     rows = [
-        [f"first step {rate:g}", *(over_seeds(n, ExplicitState(learning_rate=rate)) for n in OBJECTS)] for rate in RATES
-    ]
-    title = f"Explicit State as published, {ITERATIONS} steps: NAD, %, median and range of 5 first frictions"
-    show(title, ["", *OBJECTS], rows)
-    rows = [
         [title, *(over_seeds(n, ExplicitState(use_weight=use_weight, weighting=weighting)) for n in OBJECTS)]
         for title, use_weight, weighting in CASES[1:]
     ]
     show(f"Explicit State, {ITERATIONS} steps: NAD, %, median and range of 5 first frictions", ["", *OBJECTS], rows)
-    rows = []
-    for title, use_weight, weighting in CASES:
-        shapes = [curvature(n, use_weight, weighting) for n in OBJECTS]
-        rows.append([title, *(f"{c:.1e}" if use_weight else f"{c:.1e}, {along:.2f}" for c, along in shapes)])
-    title = (
-        "Loss at the truth, log coordinates: condition number, and cosine of its flattest direction to m up, mu down"
-    )
-    show(title, ["", *OBJECTS], rows)
     rows = []
     for title, use_weight, weighting in CASES:
         for noise in (0.0, 0.02, 0.3):
@@ -197,18 +175,6 @@ def in_logs(problem: Problem, coordinates: LogCoordinates, weighting: Weighting)
     return loss
 
 
-def curvature(name: str, use_weight: bool, weighting: Weighting) -> tuple[float, float]:
-    """Condition number of the Hessian at the truth, and how far its flattest direction is the valley of mu / m."""
-    problem, coordinates, truth = problem_of(name, use_weight)
-    hessian = torch.autograd.functional.hessian(in_logs(problem, coordinates, weighting), truth)
-    assert isinstance(hessian, Tensor)
-    values, vectors = torch.linalg.eigh(hessian)
-    first = 1 if use_weight else 0  # with M known, all masses up or down together is no change
-    valley = torch.ones(len(truth), dtype=torch.float64)
-    valley[0] = -1.0
-    return float(values[-1] / values[first]), abs(float(vectors[:, first] @ valley)) / math.sqrt(len(truth))
-
-
 def lowest(name: str, use_weight: bool, weighting: Weighting, noise: float) -> tuple[float, float]:
     """NAD, %, of the minima that a second-order method finds from the truth and from the end of the descent."""
     problem, coordinates, truth = problem_of(name, use_weight, noise)
@@ -236,7 +202,7 @@ def lowest(name: str, use_weight: bool, weighting: Weighting, noise: float) -> t
 
 
 def diff_lcp() -> None:
-    """NAD against the polygon, the substeps, the budget and the first friction."""
+    """NAD against the corners of the polygon."""
     rows = []
     for directions in (4, 8, 16, 32):
         answers = {n: ask(n, DiffLcp(use_weight=True, directions=directions), BELOW) for n in OBJECTS}
@@ -245,29 +211,6 @@ def diff_lcp() -> None:
         )
     title = f"Diff-LCP with M, {DiffLcp.substeps} substeps, first friction 0.30: NAD, %, and mu M g over the truth's"
     show(title, ["corners", *OBJECTS, "1 / mean radius"], rows)
-    rows = []
-    for substeps in (2, 4, 8):
-        answer = ask("L2", DiffLcp(use_weight=True, substeps=substeps), BELOW)
-        rows.append([f"{substeps} substeps, {ITERATIONS} steps", friction_and_nad("L2", answer)])
-    for budget in (125, 2000):
-        answer = ask("L2", DiffLcp(iterations=budget, use_weight=True), BELOW)
-        rows.append([f"{DiffLcp.substeps} substeps, {budget} steps", friction_and_nad("L2", answer)])
-    title = f"Diff-LCP with M, {DiffLcp.directions} corners, first friction 0.30: NAD, %, and mu M g over the truth's"
-    show(title, ["", "L2"], rows)
-    rows = []
-    for use_weight in (True, False):
-        for seed in sorted(SEEDS, key=first_friction):
-            answer = ask("L2", DiffLcp(use_weight=use_weight), seed)
-            best = answer.traces[0]
-            now = [friction_and_nad("L2", answer), f"{best.loss[0]:.2g}", f"{answer.diagnostics['loss']:.2g}"]
-            rows.append([f"{'with M' if use_weight else 'as published'}, {first_friction(seed):.2f}", *now])
-    title = f"Diff-LCP, {DiffLcp.directions} corners, {ITERATIONS} steps: by the first friction; truth 0.5"
-    show(title, ["", "L2", "loss at the start", "lowest"], rows)
-
-
-def first_friction(seed: int) -> float:
-    """Start of a descent."""
-    return float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
 
 
 def radius(directions: int) -> float:

@@ -44,6 +44,7 @@ from estimators.wrench.model import (
     rotate,
     turned,
 )
+from scenarios.cli.terminal import open_table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
@@ -273,15 +274,7 @@ def peak_memory_mb() -> float:
 def main() -> None:
     """Print one table."""
     torch.set_num_threads(1)
-    table = Table(box=box.SIMPLE_HEAD)
-    for column, justify in (
-        ("what", "left"),
-        ("measured", "right"),
-        ("against", "right"),
-        ("ratio", "right"),
-        ("goal", "right"),
-    ):
-        table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
+    table = open_table("what", "measured", "against", "ratio", "goal", left=("what",), box=box.SIMPLE_HEAD)
 
     time_trial(table)
     trajectories, weight = six_turns()

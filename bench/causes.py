@@ -21,9 +21,9 @@ import torch
 from honesty import LAB, drawn, trials
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from estimators.posterior.diagnosis import DECISIVE, WIDER, Diagnosis, diagnose
+from scenarios.cli.terminal import open_table
 from testbed.worlds.setup_errors import PARAMETERS
 
 FAULTS = (
@@ -111,9 +111,8 @@ def main() -> None:
     jobs = [(fault, index) for fault in (*FAULTS, NONE) for index in range(args.objects)]
     with get_context("spawn").Pool(args.workers, torch.set_num_threads, (1,)) as pool:
         rows = pool.map(partial(diagnosed, seed=args.seed), jobs, chunksize=1)
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("fault", "first", "within 10", "named", "another named", "log10 odds", "true size", "size found"):
-        table.add_column(column, justify="left" if column == "fault" else "right")
+    columns = ("fault", "first", "within 10", "named", "another named", "log10 odds", "true size", "size found")
+    table = open_table(*columns, left=("fault",), box=box.SIMPLE_HEAD)
     for fault in FAULTS:
         part = [row for row in rows if row.fault == fault]
         counts = [

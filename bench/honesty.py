@@ -23,10 +23,10 @@ import numpy as np
 import torch
 from rich import box
 from rich.console import Console
-from rich.table import Table
 from scipy.stats import beta
 
 from estimators.action_selection.design import Guess, prior_belief
+from estimators.evaluation.statistics import NINETY
 from estimators.identifiability.information import shown_information
 from estimators.registry import build_method
 from estimators.testing.analytic_lab import (
@@ -40,6 +40,7 @@ from estimators.testing.analytic_lab import (
     drawn,
     flawed_trial,
 )
+from scenarios.cli.terminal import open_table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
 from testbed.actions.rotate import Rotate
@@ -51,8 +52,6 @@ from testbed.worlds.setup_errors import SetupErrors
 
 IDEAL = SetupErrors()
 WORLDS = {"ideal": IDEAL, "lab": LAB, "rough": ROUGH, "plastic": replace(LAB, friction_law=0.1)}
-NINETY = 1.645
-"""Standard errors within which 90 % of errors lie."""
 SETTINGS = {"explicit_state": {"use_weight": True, "weighting": "covariance"}}
 
 
@@ -161,11 +160,9 @@ def main() -> None:
     judge = partial(judged, seed=args.seed, methods=tuple(args.methods), given=args.given)
     with get_context("spawn").Pool(args.workers, torch.set_num_threads, (1,)) as pool:
         rows = [row for part in pool.imap(judge, jobs) for row in part]
-    table = Table(box=box.SIMPLE_HEAD)
     names = ("world", "contacts", "method")
     numbers = ("NAD", "RMSE / bound", "off / claimed", "90 % hold", "width, %", "ok, %", "silent, %", "misfit", "s")
-    for column in (*names, *numbers):
-        table.add_column(column, justify="left" if column in names else "right")
+    table = open_table(*names, *numbers, left=names, box=box.SIMPLE_HEAD)
     for world in args.worlds:
         for kind in [*kinds[world], "all"] if len(kinds[world]) > 1 else kinds[world]:
             for method in args.methods:

@@ -40,10 +40,9 @@ try:
         from testbed.objects.files import load_object
         load_object(str(path))
     elif path.suffix == ".csv":
-        from testbed.importers.columns import TimeMap
-        from types import SimpleNamespace
+        from testbed.importers.columns import Columns, TimeMap
         from testbed.importers.tables import CsvLog
-        log = CsvLog(path, SimpleNamespace(decimal=".", comment="#", separator=","))
+        log = CsvLog(path, Columns.model_construct())
         log.series("sensor", ["a", "b"], None, TimeMap(column="t"))
     else:
         from testbed.objects.conversion.surface import read_surface

@@ -1,59 +1,45 @@
-"""Honesty of the error bars, and distance of the answers from the limit: python bench/identifiability.py WHAT [FOLDER].
+"""Honesty of the error bars, and distance of the answers from the limit: python bench/identifiability.py WHAT FOLDER.
 
 coverage FOLDER  how often the 90 % intervals of Algorithm 1 hold the truth, object by object of a results folder, under
                  fresh draws of a sensor's errors over its trials
 bound FOLDER     root mean square error of every method over the Cramer-Rao bound, with the model errors and without
 errors FOLDER    the model errors that explain noise-free trials best, at the true masses (maximum likelihood)
-speed            a report for a shape before any trial
-share FOLDER     what report and covariance add to the time of Algorithm 1
 
-Options: --draws N (8), --objects N (all), --support, --sensing; of coverage also --figure FILE.png, which draws how
-many intervals of every nominal level hold the truth.
+Options: --draws N (8), --objects N (all), --support, --sensing.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from statistics import median
 
-import matplotlib as mpl
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
 from scipy.optimize import minimize
-from scipy.stats import norm
 
+from estimators.evaluation.statistics import NINETY
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.masses import friction_loads
-from estimators.identifiability.information import Assumptions, expected, observed
+from estimators.identifiability.information import Assumptions, observed
 from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
-from scenarios.cli.plan import actions_of
+from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.results.store import Store, rows_of
 from scenarios.results.trials import sensed_trials
-from testbed.files import write_whole
-from testbed.objects.files import load_object, object_names
+from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import preset
 from testbed.sensing.windows import weight_of
 from testbed.trajectory import Trajectory
-from viz.style import PALETTE, STYLE, bare
-
-LEVEL, DEVIATIONS = 0.9, 1.6449
 
 
 @dataclass(frozen=True)
@@ -70,18 +56,10 @@ class Tried:
         return weight_of(weighed), trials
 
 
-@cache
-def library() -> dict[str, str]:
-    """Names of the library's objects by their masses and frictions, for records that do not name theirs."""
-    models = map(load_object, object_names())
-    return {json.dumps([m.truth.mass.tolist(), m.shape.particles.tolist()]): m.name for m in models}
-
-
 def tried(folder: Path, options: argparse.Namespace) -> Iterator[Tried]:
     """Objects with the trials that every method was given, in the order of their names."""
     files = {path.stem: path for path in folder.glob("objects/*/*.toml")}
-    given = _given(folder, options.support) or _made(folder, options.support)
-    for name, keys in sorted(given.items())[: options.objects]:
+    for name, keys in sorted(_given(folder, options.support).items())[: options.objects]:
         yield Tried(load_object(str(files.get(name, name))), Store(folder), keys)
 
 
@@ -92,28 +70,10 @@ def _given(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
     return {row["object"]: tuple(row["trial_keys"]) for row in named}
 
 
-def _made(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
-    """Information from the trials themselves, for folders whose estimates do not name theirs."""
-    found: dict[str, list[tuple[str, str]]] = defaultdict(list)
-    for path in sorted(folder.glob("trials/*/trial.json")):
-        said = read_json(path)
-        if said is None or said["asked"]["support"] != support:
-            continue
-        asked, action = said["asked"]["object"], said["asked"]["action"]
-        name = said.get("names", {}).get("object") or library().get(json.dumps([asked["mass"], asked["particles"]]))
-        if name and not (action["kind"] == "rotate" and not action["back"]):
-            found[name].append((action["kind"], path.parent.name))
-    order = ("weigh", "accelerate", "rotate", "slide")
-    return {
-        name: tuple(key for wanted in order for kind, key in made if kind == wanted) for name, made in found.items()
-    }
-
-
 def coverage(folder: Path, options: argparse.Namespace) -> None:
     """A row an object."""
-    table = Table(title=f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws")
-    for column in ("object", "blocks", "held, %", "error over claimed", "NAD, %"):
-        table.add_column(column, justify="right")
+    title = f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws"
+    table = open_table("object", "blocks", "held, %", "error over claimed", "NAD, %", title=title)
     scores, draws = [], 1 if options.sensing == "ideal" else options.draws
     for each in tried(folder, options):
         truth, off = each.model.truth.mass, []
@@ -139,31 +99,14 @@ def coverage(folder: Path, options: argparse.Namespace) -> None:
     by_object = np.array([_held(score) for score in scores])
     whole = np.concatenate([score.ravel() for score in scores])
     error = by_object.std(ddof=1) / math.sqrt(len(by_object)) if len(by_object) > 1 else math.nan
-    if options.figure is not None:
-        write_whole(options.figure, lambda part: levels(whole, options.sensing).savefig(part, format="png", dpi=150))
     print(
         f"{len(scores)} objects, {len(whole)} intervals: {100 * _held(whole):.1f} % hold the truth (by object "
         f"{100 * by_object.mean():.1f} +- {100 * error:.1f}); error over claimed {math.sqrt(np.mean(whole**2)):.2f}"
     )
 
 
-def levels(scores: np.ndarray, sensing: str) -> Figure:
-    """Share of intervals that hold the truth against the share that should."""
-    nominal = np.linspace(0.01, 0.99, 99)
-    held = (np.abs(scores)[:, None] <= norm.ppf((1 + nominal) / 2)).mean(axis=0)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.6, 3.4), layout="constrained")
-        axis = figure.subplots()
-        axis.plot([0, 100], [0, 100], color="0.6", linewidth=1, label="honest")
-        axis.plot(100 * nominal, 100 * held, color=PALETTE[0], label=sensing)
-        axis.set(xlabel="nominal, %", ylabel="hold the truth, %", xlim=(0, 100), ylim=(0, 100), aspect="equal")
-        bare(axis)
-        axis.legend(fontsize=8, frameon=False, loc="upper left")
-    return figure
-
-
 def _held(score: np.ndarray) -> float:
-    return float((np.abs(score) < DEVIATIONS).mean())
+    return float((np.abs(score) < NINETY).mean())
 
 
 def bound(folder: Path, options: argparse.Namespace) -> None:
@@ -183,11 +126,9 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
                 answers.append((answer.distribution.mass - truth.mass) * shape.particles_per_group)
         limits[name], of_sensor[name], own[name] = stated[0], sensor[0], np.array(answers)
     errors = {"hidden_states (fresh draws)": own} | _stored(folder, options, set(limits))
-    table = Table(
-        title=f"error over the Cramer-Rao bound, {options.support}, {options.sensing}, {len(objects)} objects"
-    )
-    for column in ("method", "objects", "pooled", "median", "sensor alone: pooled", "median"):
-        table.add_column(column, justify="right" if column != "method" else "left")
+    title = f"error over the Cramer-Rao bound, {options.support}, {options.sensing}, {len(objects)} objects"
+    columns = ("method", "objects", "pooled", "median", "sensor alone: pooled", "median")
+    table = open_table(*columns, left=("method",), title=title)
     for method, off in errors.items():
         cells = []
         for limit in (limits, of_sensor):
@@ -258,73 +199,18 @@ def _at_truth(
     return system.q.numpy() @ loads, system.b.numpy(), -float(torch.linalg.slogdet(system.whiten)[1])
 
 
-def speed() -> None:
-    """Medians, side by side."""
-    for name in ("I2", "L2", "F2", "hammer"):
-        model = load_object(name)
-        actions, sensing = actions_of(model), preset("ft300s")
-        for support in ("own_weight", "rigid"):
-            question = Assumptions(support)
-            took = _median(lambda m=model, a=actions, q=question, s=sensing: expected(m.shape, m.truth, a, s, q))
-            print(f"a report for {name}, {support}: {1e3 * took:.1f} ms")
-
-
-def share(folder: Path, options: argparse.Namespace) -> None:
-    """Time of Algorithm 1 with its report over that without, side by side."""
-    ratios = []
-    for each in tried(folder, options):
-        weight, trials = each.draw(options.sensing, 0)
-        whole, part = [], []
-        for _ in range(options.draws):
-            spent = 0.0
-            original = HiddenStates._report
-
-            def timed(*arguments: object, of: Callable[..., object] = original) -> object:
-                nonlocal spent
-                begin = time.perf_counter()
-                report = of(*arguments)
-                spent += time.perf_counter() - begin
-                return report
-
-            HiddenStates._report = timed  # pyright: ignore[reportAttributeAccessIssue]
-            try:
-                whole.append(_timed(lambda m=each.model, w=weight, t=trials: HiddenStates().estimate(m.shape, w, t, 0)))
-            finally:
-                HiddenStates._report = original
-            part.append(spent)
-        ratios.append(median(w / (w - p) for w, p in zip(whole, part, strict=True)))
-    print(f"Algorithm 1 with its report over without: median {median(ratios):.3f} of {len(ratios)} objects")
-
-
-def _timed(function: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    function()
-    return time.perf_counter() - begin
-
-
-def _median(function: Callable[[], object]) -> float:
-    function()
-    return median(_timed(function) for _ in range(15))
-
-
 def main() -> None:
     """Run one of the measurements."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("coverage", "bound", "errors", "speed", "share"))
-    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("what", choices=("coverage", "bound", "errors"))
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--support", default="own_weight")
     parser.add_argument("--sensing", default="ft300s")
-    parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
-    if options.what == "speed":
-        speed()
-    elif options.folder is None:
-        parser.error(f"{options.what} needs a results folder")
-    else:
-        {"coverage": coverage, "bound": bound, "errors": errors, "share": share}[options.what](options.folder, options)
+    {"coverage": coverage, "bound": bound, "errors": errors}[options.what](options.folder, options)
 
 
 if __name__ == "__main__":

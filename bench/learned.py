@@ -21,11 +21,12 @@ from multiprocessing import get_context
 
 import numpy as np
 import torch
-from honesty import LAB, NINETY, ROUGH, Judged, answered, drawn, trials
+from honesty import LAB, ROUGH, Judged, answered, drawn, trials
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from estimators.evaluation.statistics import NINETY
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import ObjectModel
 

@@ -26,6 +26,7 @@ from estimators.testing.analytic_links import drawn_chain
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
 from scenarios.catalog import LIBRARY
+from scenarios.cli.terminal import open_table
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers
 from scenarios.study.run import run_scenario
@@ -332,12 +333,8 @@ def resolution(console: Console) -> None:
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(
-            column, justify="left" if column in ("object", "support", "lever", "change", "turn") else "right"
-        )
-    return table
+    words = ("object", "support", "lever", "change", "turn")
+    return open_table(*columns, left=words, title=title, title_justify="left", box=box.SIMPLE_HEAD)
 
 
 def main() -> None:

@@ -1,13 +1,11 @@
-"""Planning: its speed, and what it saves: python bench/planning.py WHAT [options].
+"""What planning saves: python bench/planning.py WHAT [options].
 
-speed      sampling, information of all candidates, the next action, plans of six actions; with brute force beside it
-length     what the model misses in turns of 4, 8 and 16 s each way, noise-free, both ways' mean and half difference
 policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
 more       what more turns buy: expected NAD after 1 to 8 planned turns
 
 Options: --objects N drawn objects, in turn with the library's six (4), --first N of these (all), --draws N of the
-sensor (4), --workers N (2), --sensing (ft300s), --policies NAMES (all), --figure FILE, --rows FILE (keeps what was
-measured; goes on from it).
+sensor (4), --workers N (2), --sensing (ft300s), --policies NAMES (all), --rows FILE (keeps what was measured; goes on
+from it).
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
-from itertools import product, zip_longest
+from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -28,23 +26,18 @@ from zlib import crc32
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import spent_seconds
-from estimators.action_selection.design import Design, Guess, prior_belief
-from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_choice, greedy_plan
+from estimators.action_selection.design import Guess
+from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
-from estimators.action_selection.plan import FeasibilityLog, Goal
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven
 from estimators.action_selection.trained import SHIPPED, TrainedIndex
 from estimators.base import ActionPolicy
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.observe import observe
-from estimators.particles.windows import Observations
-from estimators.wrench.model import ModelErrors
 from scenarios.policies import Policy
 from scenarios.runners import FeasibilityCheck, feasible_grasps, redacted
 from testbed.actions.base import Action
@@ -86,66 +79,6 @@ def drawn(count: int, seed: int) -> tuple[ObjectModel, ...]:
     return tuple(found)
 
 
-def speed(options: argparse.Namespace) -> None:
-    """Seconds of one core, best of three, for 10 000 candidates."""
-    for name in ("L2", "hammer"):
-        model = load_object(name)
-        shape, guess = model.shape, Guess(model.total_mass, preset(options.sensing))
-        family, grasps = ActionFamily(), range(len(shape.grasps))
-        candidates = family.sample(shape, grasps, 10_000, 0)
-        design, before = Design.of(shape, candidates, guess), prior_belief(shape, guess)
-        few = design.of_some(range(200))
-        print(f"{name}: {len(candidates)} candidates")
-        print(f"  sampling {_best(lambda: family.sample(shape, grasps, 10_000, 0)):.3f} s")  # noqa: B023
-        print(f"  information of all {_best(lambda: Design.of(shape, candidates, guess)):.3f} s")  # noqa: B023
-        goal, free = Goal(most=6), FeasibilityLog
-        one = _best(lambda: greedy_choice(design, before, [], Goal(), np.inf, free()))  # noqa: B023
-        print(f"  next action {one:.3f} s")
-        print(f"  greedy plan of six {_best(lambda: greedy_plan(design, before, goal, free())):.3f} s")  # noqa: B023
-        print(f"  batch plan of six {_best(lambda: batch_plan(design, before, goal, free())):.3f} s")  # noqa: B023
-        update = _best(lambda: few.values_after(before))  # noqa: B023
-        afresh = _best(lambda: [few.value(before.after(few.information_of([i]))) for i in range(200)])  # noqa: B023
-        print(f"  against an inverse a candidate: {afresh / update:.0f} times as fast (200 candidates)")
-
-
-def _best(call: Callable[[], object]) -> float:
-    found = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        call()
-        found.append(time.perf_counter() - begin)
-    return min(found)
-
-
-def length(options: argparse.Namespace) -> None:
-    """Wrenches less the model's at the true masses, as parts of the drag and of the torque of turning in place."""
-    runner, table = SimulationRunner(), {seconds: list[np.ndarray]() for seconds in (4.0, 8.0, 16.0)}
-    for model, seconds in product(drawn(options.objects, options.seed), table):
-        shape, family = model.shape, ActionFamily(duration=(seconds - 0.01, seconds), slides=False, accelerated=False)
-        for action in family.sample(shape, range(len(shape.grasps)), 5, options.seed):
-            try:
-                windows = observe(shape, [draw_sensing(runner.run_clean(Trial(model, action)), preset("ideal"), 0)])
-            except InfeasibleTrialError:
-                continue
-            if windows is not None and len(windows) == 2:
-                table[seconds].append(_missed(model, windows))
-    print("root mean square, %: force x, force y, torque")
-    for seconds, found in table.items():
-        there, back = np.moveaxis(np.array(found), 1, 0)
-        parts = [", ".join(f"{100 * v:.3f}" for v in np.sqrt((x**2).mean(0))) for x in (there + back, there - back)]
-        print(
-            f"{seconds:4.0f} s each way, {len(found)} turns: mean of both {parts[0]}; half their difference {parts[1]}"
-        )
-
-
-def _missed(model: ObjectModel, windows: Observations) -> np.ndarray:
-    """Wrench of a turn there and back, halved, (2, 3)."""
-    trials = TrialWindows.about(model.shape, model.total_mass, windows, ModelErrors())
-    equations, loads = trials.friction_equations(model.truth), torch.tensor(trials.friction_loads(model.truth))
-    scale = trials.linear_rows(model.truth, windows).sum_of_drag[0]
-    return ((equations.b - equations.q @ loads).reshape(2, 3) / scale / 2).numpy()
-
-
 def more(options: argparse.Namespace) -> None:
     """Expected NAD in percent after each turn of a greedy plan."""
     print("expected NAD, %, after so many planned turns; robot seconds")
@@ -179,8 +112,6 @@ def policies(options: argparse.Namespace) -> None:
             if options.rows is not None:
                 _keep(rows, options.rows)
     _told(rows)
-    if options.figure is not None:
-        _draw(rows, options.figure)
 
 
 def _keep(rows: list[dict[str, Any]], path: Path) -> None:
@@ -316,30 +247,10 @@ def _band(values: np.ndarray) -> str:
     return f"{middle:.2g} [{low:.2g} {high:.2g}]"
 
 
-def _draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Median and quartiles of NAD against robot time, logarithmic."""
-    objects, kinds = (list(dict.fromkeys(row[key] for row in rows)) for key in ("object", "policy"))
-    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
-    axis, grid = figure.subplots(), np.arange(15, 235, 2.0)
-    for kind in kinds:
-        runs = [[r for r in rows if (r["object"], r["policy"]) == (o, kind)] for o in objects]
-        found = 100 * np.array([[_at(one, t) for t in grid] for one in runs])
-        shown = np.isfinite(found).mean(axis=0) > 0.5
-        low, middle, high = np.nanpercentile(found[:, shown], [25, 50, 75], axis=0)
-        axis.plot(grid[shown], middle, label=kind, drawstyle="steps-post")
-        axis.fill_between(grid[shown], low, high, step="post", alpha=0.12)
-    axis.set_yscale("log")
-    axis.set_xlabel("robot time, s")
-    axis.set_ylabel("NAD, %")
-    axis.set_title(f"median and quartiles of {len(objects)} objects")
-    figure.legend(loc="outside right upper", fontsize=8)
-    figure.savefig(path, dpi=150)
-
-
 def main() -> None:
     """Choose what to measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    kinds = {"speed": speed, "length": length, "policies": policies, "more": more}
+    kinds = {"policies": policies, "more": more}
     parser.add_argument("what", choices=kinds)
     parser.add_argument("--objects", type=int, default=4)
     parser.add_argument("--first", type=int, default=None)
@@ -348,7 +259,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sensing", default="ft300s")
     parser.add_argument("--policies", nargs="+", choices=COMPARED, default=COMPARED)
-    parser.add_argument("--figure", type=Path, default=None)
     parser.add_argument("--rows", type=Path, default=None)
     options = parser.parse_args()
     torch.set_num_threads(1)

@@ -23,9 +23,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from estimators.evaluation.statistics import NINETY
 from estimators.particles.observe import observe
 from estimators.posterior.estimator import Bayes
 from estimators.wrench.model import ModelErrors, ParticleModel
+from scenarios.cli.terminal import open_table
 from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import Mapping
@@ -35,8 +37,6 @@ from testbed.robot.calibration import StaticPose, calibrate
 from testbed.toml import load_toml
 from testbed.trajectory import Trajectory
 
-HOLD = 1.645
-"""Standard errors of a 90 % interval."""
 MOST_SETS = 30
 """Most sets of a number of pushes, drawn where there are more."""
 HALVES = 10
@@ -59,10 +59,8 @@ def main() -> None:
 
 def pushes(mappings: Sequence[Path], sizes: Sequence[int]) -> Table:
     """Center of mass and friction of each plate, by all of its pushes and by sets of them: medians over the sets."""
-    table = Table(title="bayes on measured pushes; the truth is c = 0")
     numbers = ("pushes", "sets", "c_x, mm", "c_y, mm", "|c|, mm", "claimed, mm", "90 % hold", "friction", "ok")
-    for name in ("plate", *numbers):
-        table.add_column(name, justify="left" if name == "plate" else "right")
+    table = open_table("plate", *numbers, left=("plate",), title="bayes on measured pushes; the truth is c = 0")
     for mapping in mappings:
         obj, trials = read(mapping)
         for size in [*(size for size in sizes if size < len(trials)), len(trials)]:
@@ -72,7 +70,7 @@ def pushes(mappings: Sequence[Path], sizes: Sequence[int]) -> Table:
                 sets = [sets[i] for i in sorted(chosen)]
             found = [each for each in (center(obj, one) for one in sets) if each is not None]
             away = [math.hypot(*each.center) for each in found]
-            held = np.array([np.abs(each.center) <= HOLD * each.error for each in found])
+            held = np.array([np.abs(each.center) <= NINETY * each.error for each in found])
             place = [f"{c:.1f} +- {s:.1f}" for c, s in zip(found[0].center, found[0].error, strict=True)]
             table.add_row(
                 obj.name,
@@ -136,9 +134,9 @@ def departures(mappings: Sequence[Path]) -> Table:
     As parts of the friction, whose coefficient is the mean over a plate's pushes; over a push's windows where there are
     several.
     """
-    table = Table(title="friction of each push beside Coulomb's of the true plate, %")
-    for name in ("plate", "push", "turn rate, rad/s", "windows", "along", "across", "around"):
-        table.add_column(name, justify="left" if name == "plate" else "right")
+    columns = ("plate", "push", "turn rate, rad/s", "windows", "along", "across", "around")
+    title = "friction of each push beside Coulomb's of the true plate, %"
+    table = open_table(*columns, left=("plate",), title=title)
     every = []
     for mapping in mappings:
         obj, trials = read(mapping)
@@ -181,9 +179,8 @@ def poses(file: Path, rest: Path) -> Table:
         StaticPose(Rotation.from_matrix(turn).as_quat(scalar_first=True), read, error)
         for turn, read in zip(turns, wrench, strict=True)
     ]
-    table = Table(title=f"{len(every)} still poses")
-    for name in ("poses", "mass, kg", "c, mm", "misfit", "apart, standard errors: mass, c_x, c_y, c_z"):
-        table.add_column(name, justify="right")
+    columns = ("poses", "mass, kg", "c, mm", "misfit", "apart, standard errors: mass, c_x, c_y, c_z")
+    table = open_table(*columns, title=f"{len(every)} still poses")
     whole = calibrate(every)
     table.add_row(
         "all", f"{whole.mass:.4f} +- {whole.mass_std:.4f}", _place(whole.com, whole.com_std), f"{whole.misfit:.3g}"

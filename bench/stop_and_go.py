@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from rich import box
 from rich.console import Console
-from rich.table import Table
 from scipy.signal import lfilter
 
 from estimators.inertial import (
@@ -31,6 +30,7 @@ from estimators.inertial import (
     inertial_equations,
     least_squares_inertia,
 )
+from scenarios.cli.terminal import open_table
 from testbed.errors import HeftError
 from testbed.objects.conversion import convert_mesh
 from testbed.objects.model import GRAVITY
@@ -60,9 +60,8 @@ def main() -> None:
     tools = [read_tool(each) for each in sorted(args.folder.iterdir()) if (each / "stop_and_go.npz").exists()]
     told = {tool.name: len(tool.parts) for tool in tools}
     print(f"{len(tools)} tools, parts of each: {told}")
-    table = Table(box=box.SIMPLE)
-    for heading in ("sensor", "method", "M, %", "c, mm", "inertia, %", "90 % hold", "physical, %", "no answer"):
-        table.add_column(heading, justify="left" if heading in ("sensor", "method") else "right")
+    columns = ("sensor", "method", "M, %", "c, mm", "inertia, %", "90 % hold", "physical, %", "no answer")
+    table = open_table(*columns, left=("sensor", "method"), box=box.SIMPLE)
     for sensing in map(preset, SENSING):
         draws = 1 if sensing.name == "ideal" else args.draws
         for method in METHODS:

@@ -1,4 +1,4 @@
-"""Real tools felt in simulation: python bench/tools.py [SET] [--draws N] [--figure FILE].
+"""Real tools felt in simulation: python bench/tools.py [SET] [--draws N].
 
 SET is a copy of the public set (docs/tools.md); without it, the one tool is a mallet that is built here. Every tool
 with a grasp is turned on the table and lifted from pose to pose, and every tool is pushed, in an ideal world and in a
@@ -19,10 +19,10 @@ import numpy as np
 import trimesh
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from estimators.action_selection.pushes import RandomPushes
 from estimators.base import ActionPolicy, Estimate
+from estimators.evaluation.statistics import NINETY
 from estimators.inertial import (
     InertialEstimate,
     InertialParameters,
@@ -35,6 +35,7 @@ from estimators.inertial import (
     true_body,
 )
 from estimators.support_models.estimator import SupportAware
+from scenarios.cli.terminal import open_table
 from scenarios.config import load_scenario
 from scenarios.study.meshes import with_meshes
 from testbed.actions.accelerate import Accelerate
@@ -53,8 +54,6 @@ from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import world
-from viz.figures.maps import save_figure
-from viz.figures.objects import object_page
 
 GRASPS = 3
 """Grasps of a tool that are used, those nearest the middle."""
@@ -156,7 +155,7 @@ def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
         1e3 * float(np.linalg.norm(answer.hidden.center_of_mass - model.center_of_mass)),
         100 * abs(answer.hidden.inertia_cm / model.inertia_cm - 1),
         100 * float(np.abs(masses - model.group_mass).sum()) / model.total_mass,
-        float(np.mean(np.abs(masses - model.group_mass) <= 1.645 * error + 1e-12)),
+        float(np.mean(np.abs(masses - model.group_mass) <= NINETY * error + 1e-12)),
     )
 
 
@@ -210,11 +209,10 @@ def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
 
 
 def main() -> None:
-    """Print the table, and draw the objects on one page."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--draws", type=int, default=3, help="draws of the sensor and of the lab")
-    parser.add_argument("--figure", type=Path, help="picture of all tools, written as FILE.pdf and FILE.png")
     given = parser.parse_args()
     rows: dict[tuple[str, str, str], list[Judged | None]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -223,16 +221,14 @@ def main() -> None:
         else:
             scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
             models = [load_object(path) for path in scenario.objects]
-    if given.figure is not None:
-        save_figure(object_page(models), given.figure)
     for model in models:
         print(f"{model.name}: {len(model.shape.grasps)} grasps", flush=True)
         for label, trial in felt(model, given.draws):
             for used, method, one in answers(trial):
                 rows.setdefault((label, used, method), []).append(one)
-    table = Table(box=box.SIMPLE)
-    for heading in ("world", "trials", "method", "M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none"):
-        table.add_column(heading, justify="left" if heading in ("world", "trials", "method") else "right")
+    numbers = ("M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none")
+    names = ("world", "trials", "method")
+    table = open_table(*names, *numbers, left=names, box=box.SIMPLE)
     for key, found in rows.items():
         known = [one for one in found if one is not None]
         middle = (

@@ -7,15 +7,16 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from metered import Metered
 from rich import box
 from rich.console import Console
-from rich.table import Table
+
+from scenarios.cli.terminal import open_table
 
 PARTS = {
     "_tried": "trials: planning, scene, physics, writing",
@@ -26,6 +27,54 @@ PARTS = {
     "report": "report",
 }
 """Parts of a run by the task that a worker is given."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task that has ended."""
+
+    name: str
+    """Name of its function."""
+    wall: float
+    """Wall time [s]."""
+    cpu: float
+    """Core-seconds [s]."""
+    end: float
+    """Time of `time.perf_counter` in the driver as it took the value [s]."""
+
+
+class Metered:
+    """Any executor, which adds its tasks to a list as they end."""
+
+    def __init__(self, executor: Any):
+        self._executor = executor
+        self.tasks: list[Task] = []
+
+    @property
+    def capacity(self) -> int:
+        """Same property of the executor."""
+        return self._executor.capacity
+
+    @property
+    def running(self) -> int:
+        """Same property of the executor."""
+        return self._executor.running
+
+    def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Same method of the executor."""
+        self._executor.start((label, function.__name__), _timed, function, *arguments)
+
+    def wait(self) -> tuple[Any, Any]:
+        """Same method of the executor."""
+        (label, name), (value, wall, cpu) = self._executor.wait()
+        self.tasks.append(Task(name, wall, cpu, time.perf_counter()))
+        return label, value
+
+
+def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float, float]:
+    """Task: another task's value, wall time and core-seconds."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    return function(*arguments), time.perf_counter() - wall, time.process_time() - cpu
 
 
 def core_seconds(who: int) -> float:
@@ -59,9 +108,7 @@ def main() -> None:
     for task in tasks:
         seconds[task.name] += task.cpu
     driver, workers = core_seconds(resource.RUSAGE_SELF), core_seconds(resource.RUSAGE_CHILDREN)
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("part")
-    table.add_column("core-seconds", justify="right")
+    table = open_table("part", "core-seconds", left=("part",), box=box.SIMPLE_HEAD)
     for name, part in PARTS.items():
         table.add_row(part, f"{seconds[name]:.1f}")
     table.add_row("start of the workers", f"{workers - sum(seconds.values()):.1f}")

@@ -104,6 +104,11 @@ def write_whole(path: Path, write: Any) -> None:
             os.close(held)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text as UTF-8, as `write_whole` does."""
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
 def remove_leftovers(folder: Path) -> None:
     """Remove from one folder what writers that were killed have left, and nothing else."""
     for part in folder.glob(".*.part"):

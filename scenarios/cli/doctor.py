@@ -94,13 +94,12 @@ def _worst(found: Diagnosis, trials: list[str]) -> str:
 
 def _table(found: Diagnosis):
     from rich import box
-    from rich.table import Table
 
     from estimators.posterior.posterior import CAUSES
+    from scenarios.cli.terminal import open_table
 
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("error", "odds of being larger than stated", "size", "what to check"):
-        table.add_column(column, justify="right" if column in ("odds of being larger than stated", "size") else "left")
+    columns = ("error", "odds of being larger than stated", "size", "what to check")
+    table = open_table(*columns, left=("error", "what to check"), box=box.SIMPLE_HEAD)
     for cause in found.causes[:MOST_LISTED]:
         table.add_row(cause.name.replace("_", " "), odds(cause.odds), cause.formatted, CAUSES[cause.name].cause)
     return table

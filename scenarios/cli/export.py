@@ -69,7 +69,7 @@ def export(
     from scenarios.results.estimates import row_of
     from scenarios.results.files import inside
     from scenarios.views.figures import file_name
-    from testbed.files import write_whole
+    from testbed.files import write_text, write_whole
     from testbed.objects.export import to_sidecar, written
 
     if models and draws is None:
@@ -80,7 +80,7 @@ def export(
     name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
     path = out or inside(folder, "exports", name)
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
-        write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        write_text(file, content)
         print(file)
     if draws is not None:
         table = posterior_table(folder, row, draws)
@@ -88,8 +88,7 @@ def export(
         print(path.with_suffix(".draws.csv"))
         for number, drawn in enumerate(drawn_from(exported, table) if models else ()):
             file = path.with_suffix(".draws") / f"{number:04d}{path.suffix}"
-            content = written(drawn, format_, inertial=inertial, scene=scene)
-            write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+            write_text(file, written(drawn, format_, inertial=inertial, scene=scene))
         if models:
             print(path.with_suffix(".draws"))
 
@@ -123,7 +122,7 @@ def payload(
     import numpy as np
 
     from estimators.inertial.payload import FORMATS, Payload
-    from testbed.files import write_whole
+    from testbed.files import write_text
     from testbed.frames import rotation_z
     from testbed.robot.calibration.file import load_calibration
 
@@ -144,7 +143,7 @@ def payload(
     if out is None:
         print(text, end="")
         return
-    write_whole(out, lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(out, text)
     print(out)
 
 
@@ -173,7 +172,7 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     from scenarios.results.trials import read_trial
     from scenarios.views.figures import file_name
     from testbed.exporters.ros2 import mapping_text, write_mcap
-    from testbed.files import write_whole
+    from testbed.files import write_text
     from testbed.sensing.noise import draw_sensing
     from testbed.sensing.presets import preset
 
@@ -193,7 +192,7 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
     if text is not None:
         texts[path.with_name(called)] = text
     for file, content in texts.items():
-        write_whole(file, lambda part, content=content: part.write_text(content, encoding="utf-8"))
+        write_text(file, content)
         print(file)
     if called.endswith(".toml") and text is None:
         print(f"the mapping names {called}: put the object's file beside it")

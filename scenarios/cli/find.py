@@ -15,7 +15,7 @@ from rich.text import Text
 from scenarios.cli.terminal import open_console
 from testbed.actions.push import Push
 from testbed.errors import HeftError, InvalidValueError
-from testbed.files import write_whole
+from testbed.files import write_text
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import Mapping
 from testbed.importers.segments import Segment, find_segments
@@ -51,7 +51,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
         print(f"left out: {error}", file=sys.stderr)
     if known:
         path = mapping.with_suffix(".found.toml")
-        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+        write_text(path, text)
         print(f"{path}: look it through, correct what is wrong, then heft import {path}")
     return not failed
 

@@ -12,7 +12,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.cli.terminal import default_hint, open_console, percent, seconds
+from scenarios.cli.terminal import default_hint, open_console, open_table, percent, seconds
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -146,9 +146,7 @@ def actions_of(
 
 def _errors_table(model: ObjectModel, report: Identifiability) -> Table:
     """Mass and expected standard error of every group, and of every friction."""
-    table = Table()
-    for column in ("group", "mass, kg", "standard error, g", "% of its own value"):
-        table.add_column(column, justify="right")
+    table = open_table("group", "mass, kg", "standard error, g", "% of its own value")
     for label, mass, error in zip(report.group_names, model.group_mass, report.standard_error, strict=True):
         part = _three_digits(100 * error / mass) if mass else "-"
         table.add_row(label, f"{mass:.3f}", _three_digits(1e3 * error), part)
@@ -321,12 +319,8 @@ def _draw(view: PlanView, figure: Path | None, record: Path | None) -> None:
 
 def _table(shape: ObjectShape, made: Plan) -> Table:
     """A row an action: robot time, and the error expected after it."""
-    table = Table()
-    for column, justify in (
-        *(("", "right"), ("action", "left"), ("grasp", "left"), ("about, mm", "right"), ("way", "left")),
-        *(("robot, s", "right"), ("in all, s", "right"), ("NAD, %", "right"), ("teaches", "left")),
-    ):
-        table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
+    columns = ("", "action", "grasp", "about, mm", "way", "robot, s", "in all, s", "NAD, %", "teaches")
+    table = open_table(*columns, left=("action", "grasp", "way", "teaches"))
     belief, spent = made.before, 0.0
     for number, step in enumerate(made.steps, start=1):
         spent += step.seconds

@@ -264,7 +264,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: of a run, finished, running or stopped.
     """
-    from scenarios.results.files import is_held, read_json, read_manifest, tally
+    from scenarios.results.files import STAGES, is_held, read_manifest, stored, tally
     from testbed.files import unless_damaged
 
     if not (folder / "manifest.json").is_file():
@@ -272,13 +272,12 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         raise InvalidValueError("DIR", str(folder), allowed)
     manifest = unless_damaged(lambda: read_manifest(folder), "the same command writes it again") or {}
     expected, failed, counts = manifest.get("expected") or {}, [], []
-    for stage, file in (("trials", "trial.json"), ("estimates", "result.json")):
-        done = sorted(folder.glob(f"{stage}/*/{file}"))
-        found = [unless_damaged(lambda path=path: read_json(path), "of unknown status") or {} for path in done]
+    for stage, file in STAGES.items():
+        found = [content or {} for _, content in stored(folder, stage, "of unknown status")]
         errors = [e for e in sorted(folder.glob(f"{stage}/*/error.txt")) if not (e.parent / file).is_file()]
         amiss = tally(str(each.get("status", "ok")) for each in found)
         listed = f" ({amiss})" if amiss else ""
-        counts.append(f"{stage}: {_of(len(done), expected.get(stage))}{listed}, {len(errors)} failed")
+        counts.append(f"{stage}: {_of(len(found), expected.get(stage))}{listed}, {len(errors)} failed")
         failed = [*errors, *failed]
     print(f"{folder}: {_state(manifest, running=is_held(folder))}")
     print("; ".join(counts))

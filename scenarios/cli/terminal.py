@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
+from rich.table import Column, Table
 
 from testbed.errors import InvalidValueError
 
@@ -21,6 +23,12 @@ def open_console() -> Console:
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
     # An error, a path or a name may hold [brackets]; rich would take them for its markup
     return Console(width=None if known else WIDE, markup=False, highlight=False)
+
+
+def open_table(*columns: str, left: Collection[str] = (), no_wrap: bool = False, **look: Any) -> Table:
+    """Empty table, its columns to the right but for those named in `left`; `look` as rich's `Table` takes it."""
+    heads = [Column(name, justify="left" if name in left else "right", no_wrap=no_wrap) for name in columns]
+    return Table(*heads, **look)
 
 
 def default_hint(default: str) -> str:

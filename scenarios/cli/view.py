@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.film import RenderRequest
-from scenarios.cli.terminal import open_console, orderly_end
+from scenarios.cli.terminal import open_console, open_table, orderly_end
 from testbed.errors import HeftError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -159,9 +159,8 @@ def objects() -> None:
     """List the objects in the library."""
     from testbed.objects.files import load_object, object_names
 
-    table = Table(title="Objects", title_justify="left")
-    for column, justify in (("name", "left"), ("groups", "right"), ("mass, kg", "right"), ("grasps", "left")):
-        table.add_column(column, justify=justify)  # pyright: ignore[reportArgumentType]
+    names = ("name", "grasps")
+    table = open_table("name", "groups", "mass, kg", "grasps", left=names, title="Objects", title_justify="left")
     for name in object_names():
         model = load_object(name)
         grasps = " ".join(grasp.name for grasp in model.shape.grasps)
@@ -262,9 +261,7 @@ def _show_blocks(console: Console, model: ObjectModel) -> None:
     """An object of blocks: its drawing, its blocks and where they are gripped."""
     shape = model.shape
     console.print(drawing(model))
-    table = Table()
-    for column in ("block", "x, mm", "y, mm", "mass, kg", "friction", "gripped across"):
-        table.add_column(column, justify="right")
+    table = open_table("block", "x, mm", "y, mm", "mass, kg", "friction", "gripped across")
     grasps = {grasp.name: "x" if abs(np.cos(grasp.angle)) > 0.5 else "y" for grasp in shape.grasps}
     for group, label in enumerate(shape.group_names):
         at = _millimeters(shape.particles[shape.mass_group == group].mean(axis=0))
@@ -281,16 +278,14 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
     """An object of meshes: its particles as a map, its mass groups, its grasps."""
     shape = model.shape
     console.print(particle_map(model))
-    groups, grasps = Table(), Table()
-    for column in ("group", "on the map", "mass, kg", "particles", "touching", "friction"):
-        groups.add_column(column, justify="right")
+    groups = open_table("group", "on the map", "mass, kg", "particles", "touching", "friction")
     for group, label in enumerate(shape.group_names):
         own = shape.mass_group == group
         feet, letter = int((own & (shape.friction_group >= 0)).sum()), _letter(group)
         counts = (str(own.sum()), str(feet))
         groups.add_row(label, f"{letter} {letter.upper()}", _mass(model, group), *counts, _friction(model, group))
-    for column in ("grasp", "x, mm", "y, mm", "closes, deg", "wide, mm", "long, mm", "high, mm"):
-        grasps.add_column(column, justify="right", no_wrap=True)
+    columns = ("grasp", "x, mm", "y, mm", "closes, deg", "wide, mm", "long, mm", "high, mm")
+    grasps = open_table(*columns, no_wrap=True)
     for grasp in shape.grasps:
         top = shape.height if grasp.top is None else grasp.top
         numbers = (*grasp.position * 1e3, np.degrees(grasp.angle), grasp.width * 1e3, grasp.length * 1e3)
@@ -304,9 +299,7 @@ def _show_hinges(console: Console, model: ObjectModel) -> None:
     chain, names = model.shape.chain, np.array(model.shape.group_names)
     if chain is None:
         return
-    table = Table()
-    for column in ("hinge", "x, mm", "y, mm", "joins", "friction, mN m"):
-        table.add_column(column, justify="right")
+    table = open_table("hinge", "x, mm", "y, mm", "joins", "friction, mN m")
     for hinge, (place, torque) in enumerate(zip(chain.hinges, model.hinge_friction, strict=True)):
         links = (", ".join(names[chain.link == link]) for link in (hinge, hinge + 1))
         table.add_row(str(hinge), *_millimeters(place), " | ".join(links), f"{torque * 1e3:g}")

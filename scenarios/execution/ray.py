@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from functools import lru_cache
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from scenarios.execution.executor import Failure, Limits, call, given_back, set_up_worker
@@ -64,9 +64,7 @@ class RayExecutor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for task in self._labels:
             self._ray.cancel(task, force=True)
         if not self._joined:

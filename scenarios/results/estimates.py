@@ -46,7 +46,7 @@ import pandas as pd
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.files import check_unambiguous, inside, read_json
+from scenarios.results.files import STAGES, check_unambiguous, inside, read_json, stored
 from scenarios.results.store import Store, rows_of
 from testbed.errors import HeftError, InvalidValueError, short
 from testbed.files import MOST_BYTES, DamagedFileError, load_sealed, read_table, unless_damaged
@@ -109,9 +109,7 @@ def load_rows(folder: Path) -> Sequence[Row]:
     if (folder / "results.parquet").is_file():
         rows = rows_of(load_results(folder))
     else:
-        done = sorted(folder.glob("estimates/*/result.json"))
-        read = [unless_damaged(lambda path=path: read_json(path), "left out") for path in done]
-        rows = [{"key": path.parent.name} | row for path, row in zip(done, read, strict=True) if row]
+        rows = [{"key": place.name} | row for place, row in stored(folder, "estimates") if row]
     if missing := {name for row in rows for name in LABELS if name not in row}:
         raise HeftError(f"{folder}: not of this version of heft: an estimate has no {', '.join(sorted(missing))}")
     return rows
@@ -241,7 +239,7 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
 def load_tracebacks(folder: Path) -> dict[str, str]:
     """Tracebacks of the trials and estimates that failed and are still not done, by path."""
     found = {}
-    for kind, done in (("trials", "trial.json"), ("estimates", "result.json")):
+    for kind, done in STAGES.items():
         for path in sorted((folder / kind).glob("*/error.txt")):
             if not (path.parent / done).is_file():
                 text = path.read_text(encoding="utf-8", errors="replace")

@@ -11,13 +11,14 @@ import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from testbed.errors import HeftError, InvalidValueError
-from testbed.files import UNSEALED, DamagedFileError, load_sealed, write_sealed
+from testbed.files import UNSEALED, DamagedFileError, load_sealed, unless_damaged, write_sealed
 
 LOCK = ".lock"
 """File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
@@ -33,6 +34,8 @@ _MANIFEST = {
     "finished": bool,
 }
 _SCENARIO = {"objects": list, "sensing": list, "methods": dict}
+STAGES = {"trials": "trial.json", "estimates": "result.json"}
+"""File that says a trial, or an estimate, is done, by their folder."""
 SHOWN, MOST_KEYS = 8, 6
 """Letters of a key, and number of keys, in an error."""
 
@@ -67,6 +70,18 @@ def read_json(path: Path) -> dict[str, Any] | None:
         return content
 
     return load_sealed(path, "JSON file", parsed) if os.path.lexists(path) else None
+
+
+def stored(root: Path, stage: str, then: str = "left out") -> Iterator[tuple[Path, dict[str, Any] | None]]:
+    """Folder of each trial or estimate that is done, sorted, and what its file holds; None where that is damaged.
+
+    Args:
+        root: results folder.
+        stage: "trials" or "estimates".
+        then: what follows for a damaged one, in the warning.
+    """
+    for path in sorted(root.glob(f"{stage}/*/{STAGES[stage]}")):
+        yield path.parent, unless_damaged(partial(read_json, path), then)
 
 
 def check_results(folder: Path) -> None:

@@ -10,10 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scenarios.results.files import exclusive, read_json
+from scenarios.results.files import exclusive, stored
 from scenarios.results.store import Store, key_of, object_request
 from testbed.errors import HeftError, InvalidValueError
-from testbed.files import unless_damaged
 from testbed.importers.clocks import Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
@@ -129,11 +128,10 @@ def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any
 
 def _remove_earlier(store: Store, contents: dict[str, set[str]]) -> None:
     """Remove earlier imports of logs, by their checksums, but for the keys of this one."""
-    for file in store.root.glob("trials/*/trial.json"):
-        known = unless_damaged(lambda file=file: read_json(file), "left as it is") or {}
-        earlier = known.get("asked", {}).get("import", {}).get("sha256")
-        if earlier in contents and file.parent.name not in contents[earlier]:
-            shutil.rmtree(file.parent)
+    for place, known in stored(store.root, "trials", "left as it is"):
+        earlier = (known or {}).get("asked", {}).get("import", {}).get("sha256")
+        if earlier in contents and place.name not in contents[earlier]:
+            shutil.rmtree(place)
 
 
 def _checksum(logs: Sequence[Path]) -> str:

@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, read_manifest, write_json
-from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_whole
+from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_text
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
 from testbed.objects.model import Grasp, ObjectModel, ObjectShape, Solid
@@ -215,13 +215,11 @@ class Store:
 
     def put_trial_error(self, key: str, text: str) -> None:
         """Write why a trial failed; it stays undone, and the next run tries again."""
-        write_whole(inside(self.root, "trials", key, "error.txt"), lambda part: part.write_text(text, encoding="utf-8"))
+        write_text(inside(self.root, "trials", key, "error.txt"), text)
 
     def put_error(self, key: str, text: str) -> None:
         """Write why an estimate failed; it stays undone, and the next run tries again."""
-        write_whole(
-            inside(self.root, "estimates", key, "error.txt"), lambda part: part.write_text(text, encoding="utf-8")
-        )
+        write_text(inside(self.root, "estimates", key, "error.txt"), text)
 
     def remove_leftovers(self) -> None:
         """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""

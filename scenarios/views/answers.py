@@ -15,7 +15,7 @@ from estimators.evaluation.statistics import Row
 from estimators.posterior.support import DECISIVE, EVIDENCE, SupportTest
 from scenarios.results.estimates import load_estimate
 from scenarios.views.values import estimate_view
-from testbed.files import write_whole
+from testbed.files import write_text, write_whole
 from viz.report.answers import Answer, answer_fields, answer_rows
 
 
@@ -37,8 +37,7 @@ def write_answers(folder: Path, groups: Sequence[Sequence[Answer]]) -> list[Path
     answers = [answer for group in groups for answer in group]
     table, fields = pd.DataFrame(answer_rows(answers)), [answer_fields(answer) for answer in answers]
     write_whole(folder / "masses.csv", lambda part: table.to_csv(part, index=False))
-    text = json.dumps(fields, indent=1)
-    write_whole(folder / "masses.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(folder / "masses.json", json.dumps(fields, indent=1))
     return [folder / "masses.csv", folder / "masses.json"]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values, select
+from estimators.evaluation.statistics import AXIS, Row, axes_of, axis_values
 from scenarios.results.estimates import load_losses, load_rows
 from scenarios.results.files import inside
 from scenarios.views.values import estimate_view, fits_of
@@ -20,7 +20,7 @@ from viz.figures.loss import estimate_losses, loss_figure
 from viz.figures.maps import absolute_difference, estimate_maps, save_figure
 from viz.figures.nad import nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
-from viz.report.tables import MOST_OBJECTS
+from viz.report.tables import MOST_OBJECTS, by_setting
 from viz.values import support_name
 
 TRIALS_A_FIGURE = 4
@@ -52,22 +52,16 @@ def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
     rows = [row for row in load_rows(folder) if row["method"]]
     if not rows:
         raise InvalidValueError("DIR", str(folder), "a results folder with estimates, as `heft run` makes it")
-    for first in {(row["support"], row["sensing"]): row for row in rows}.values():
-        found = select(rows, support=first["support"], sensing=first["sensing"])
-        under = f"{first['support']} {first['sensing']}"
-        title = f"{support_name(first['support'])}, {first['sensing']}"
+    groups = {f"{support} {sensing}": found for (support, sensing), found in by_setting(rows).items()}
+    for under, found in groups.items():
+        title = f"{support_name(found[0]['support'])}, {found[0]['sensing']}"
         if any(row["nad"] is not None for row in found):
             yield f"nad {under}", nad_distribution(found)
         shapes = _shapes(folder, found)
         if shapes:
             yield f"absolute_difference {under}", absolute_difference(found, shapes, title)
     for axis in axes_of(rows):
-        split = {(row["support"], row["sensing"]): row for row in rows}.values()
-        groups = {
-            f" {first['support']} {first['sensing']}": select(rows, support=first["support"], sensing=first["sensing"])
-            for first in split
-        }
-        swept = {under: found for under, found in groups.items() if len(axis_values(found, axis)) > 1}
+        swept = {f" {under}": found for under, found in groups.items() if len(axis_values(found, axis)) > 1}
         for under, found in (swept or {"": rows}).items():
             yield f"nad_against {axis.removeprefix(AXIS)}{under}", nad_sweep(found, axis)
     for method, losses in load_losses(folder, rows).items():

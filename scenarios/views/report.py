@@ -12,7 +12,7 @@ from estimators.evaluation.statistics import AXIS, Row, select
 from scenarios.catalog import scenario_names
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
-from scenarios.results.files import inside, read_json, read_manifest
+from scenarios.results.files import inside, read_manifest, stored
 from scenarios.results.trials import OTHER_FORMAT, object_of
 from scenarios.study.run import SENSING
 from scenarios.views.answers import answers_of
@@ -155,8 +155,9 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
             continue
         if model.name == name and (row is None or list(row["group_names"]) == list(model.shape.group_names)):
             return model.shape
-    for path in sorted((folder / "trials").glob("*/trial.json")):
-        trial = unless_damaged(lambda path=path: read_json(path), "left out") or {}
+    for _, trial in stored(folder, "trials"):
+        if trial is None:
+            continue
         try:
             if trial["names"]["object"] == name:
                 return object_of(trial["asked"]["object"], trial["names"]).shape
@@ -168,9 +169,8 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
 def _bad(folder: Path) -> dict[tuple[str, str], list[str]]:
     """Keys of the trials that are no data, by status and reason."""
     found: dict[tuple[str, str], list[str]] = {}
-    for path in sorted((folder / "trials").glob("*/trial.json")):
-        trial = unless_damaged(lambda path=path: read_json(path), "left out")
+    for place, trial in stored(folder, "trials"):
         if trial is not None and trial.get("status", "?") != "ok":
             reason = str(trial.get("status", "?")), str(trial.get("reason", ""))
-            found.setdefault(reason, []).append(path.parent.name)
+            found.setdefault(reason, []).append(place.name)
     return found

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from testbed.actions.base import Action
 from testbed.importers.logs import LogError, Series
 from testbed.importers.mapping import PhaseWindow
+from testbed.sensing.series import interpolated, runs
 from testbed.trajectory import Phase
 
 RATE = 100.0
@@ -154,7 +155,7 @@ def resampled(series: Series, base: Float[np.ndarray, "T"]) -> Float[np.ndarray,
     """Values at the base's times: averaged over each sample if the series is faster, else interpolated."""
     time, values = series
     if np.median(np.diff(time)) * RATE * _FAST > 1:
-        return np.column_stack([np.interp(base, time, column) for column in values.T])
+        return interpolated(base, time, values)
     # averaging, as a sensor does over its sample, keeps fast signals from aliasing
     total = make_interp_spline(time, values, k=1).antiderivative()
     low, high = (np.clip(base + side / (2 * RATE), time[0], time[-1]) for side in (-1, 1))
@@ -315,9 +316,3 @@ def linear_stretches(rate: Float[np.ndarray, "T"]) -> list[tuple[float, np.ndarr
     while inner and abs(inner[-1][0]) < _LEAST_SLOPE * largest:
         inner = inner[:-1]
     return inner
-
-
-def runs(inside: np.ndarray) -> list[np.ndarray]:
-    """Indices of every unbroken stretch of True."""
-    indices = np.flatnonzero(inside)
-    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []

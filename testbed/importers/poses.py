@@ -14,9 +14,9 @@ from testbed.errors import InvalidValueError
 from testbed.importers.columns import CameraMap, Cell, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
-from testbed.importers.phases import runs
 from testbed.importers.tables import TableLog
 from testbed.importers.urdf import forward_kinematics, joints_to
+from testbed.sensing.series import interpolated, runs
 
 Log = TableLog | MessageLog
 Pose = tuple[Series, Rotation]
@@ -165,8 +165,7 @@ class _Edge(NamedTuple):
     def at(self, time: np.ndarray) -> tuple[np.ndarray, Rotation]:
         if len(self.time_s) == 1 or np.array_equal(time, self.time_s):
             return self.position, self.rotation
-        position = np.column_stack([np.interp(time, self.time_s, column) for column in self.position.T])
-        return position, Slerp(self.time_s, self.rotation)(time)
+        return interpolated(time, self.time_s, self.position), Slerp(self.time_s, self.rotation)(time)
 
 
 def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:

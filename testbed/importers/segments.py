@@ -31,12 +31,12 @@ from testbed.importers.phases import (
     check_sensor_alive,
     linear_stretches,
     resampled,
-    runs,
 )
 from testbed.importers.streams import Streams, closing_yaw, differentiated, open_log
 from testbed.objects.faces import face_at, room_at
 from testbed.objects.model import ObjectShape
 from testbed.sensing.push_windows import TOUCHING
+from testbed.sensing.series import interpolated, runs
 from testbed.toml import load_toml
 
 Kind = Literal["tare", "held still", "turn", "accelerated turn", "slide", "push", "other motion", "empty hand"]
@@ -160,9 +160,7 @@ class _Lying:
         if camera is None or camera.poses.shape[1] > 1:
             return None
         there = ~np.isnan(camera.poses[:, 0]).any(axis=1)
-        frames = camera.poses[there, 0].T
-        pose = np.column_stack([np.interp(base - base[0], camera.time_s[there], values) for values in frames])
-        return _Lying(shape, pose)
+        return _Lying(shape, interpolated(base - base[0], camera.time_s[there], camera.poses[there, 0]))
 
     def in_object(self, at: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Points in the object's frame at some samples [m], shape (N, 2), from base axes."""

@@ -16,6 +16,7 @@ from testbed.robot.camera.interface import ObjectCamera, SeenFrame
 from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
+from testbed.sensing.series import interpolated, runs
 from testbed.trajectory import Phase, Status
 
 _SMOOTHING = 11
@@ -159,10 +160,10 @@ class Recorder:
             phase=phase,
             segment=segment,
             wrench=np.array([samples[i].wrench for i in keep]),
-            tcp_position=_interpolated(time, at, position),
+            tcp_position=interpolated(time, at, position),
             tcp_orientation=Slerp(at, _rotation(turn))(time).as_quat(scalar_first=True),
-            tcp_velocity=_interpolated(time, at, _velocity(at, position, turn)),
-            joint_position=_interpolated(time, at, joints),
+            tcp_velocity=interpolated(time, at, _velocity(at, position, turn)),
+            joint_position=interpolated(time, at, joints),
             wrench_gap=_longest_gap(time, begin, end),
             feedback_gap=_longest_gap(at[inside], begin, end),
             seen=None if self._camera is None else tuple(self._seen),
@@ -198,10 +199,6 @@ def _velocity(time: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.nd
     angular = (_rotation(turn[after]) * _rotation(turn[before]).inv()).as_rotvec() / step
     rates = np.hstack([linear, angular])
     return np.asarray(savgol_filter(rates, _SMOOTHING, 2, axis=0)) if len(time) > _SMOOTHING else rates
-
-
-def _interpolated(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.interp(time, at, column) for column in values.T])
 
 
 def _longest_gap(time: np.ndarray, begin: float, end: float) -> float:
@@ -258,7 +255,7 @@ def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Ite
             yield "fault", f"{name}: silent for {gap * 1e3:.0f} ms; allowed: {GAP_LIMIT * 1e3:.0f} ms"
     if evidence.lost_frames > LOST_LIMIT * len(record.time_s):
         yield "fault", f"sensor: {evidence.lost_frames} of {len(record.time_s)} frames lost; allowed: 1 %"
-    for tare in _stretches(record.during(Phase.TARE)):
+    for tare in runs(record.during(Phase.TARE)):
         spread = record.wrench[tare, :3].std(axis=0).max()
         if not spread <= RESTLESS:
             yield (
@@ -277,7 +274,7 @@ def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Ite
 
 def _change(record: Record) -> float:
     """Largest change of any component from the first tare to the motion, in standard errors of ten frames' mean."""
-    tares, moving = _stretches(record.during(Phase.TARE)), np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))
+    tares, moving = runs(record.during(Phase.TARE)), np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))
     if not tares or len(moving) < _BLOCK:
         return math.inf
     tare = record.wrench[tares[0]]
@@ -294,9 +291,3 @@ def _uncovered(record: Record, path: ToolPath) -> Iterator[tuple[Status, str]]:
         have, wanted = int((record.segment == segment).sum()), seconds * rate
         if have < COVERED * wanted:
             yield "fault", f"sensor: {have} of {wanted:.0f} frames of steady stretch {segment}"
-
-
-def _stretches(mask: np.ndarray) -> list[np.ndarray]:
-    """Indices of every run of True."""
-    inside = np.flatnonzero(mask)
-    return np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(inside) else []

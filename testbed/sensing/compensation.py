@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.model import GRAVITY
+from testbed.sensing.series import runs
 from testbed.trajectory import Phase, Tool, Trajectory
 
 
@@ -57,9 +58,7 @@ def tare_samples(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
 
 def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
     """Indices of the samples of every tare, without its first third: the arm has only just come to rest."""
-    inside = np.flatnonzero(trajectory.phase == Phase.TARE)
-    stretches = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(inside) else []
-    return [stretch[len(stretch) // 3 :] for stretch in stretches]
+    return [stretch[len(stretch) // 3 :] for stretch in runs(trajectory.mask(Phase.TARE))]
 
 
 def tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:

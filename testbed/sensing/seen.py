@@ -12,6 +12,7 @@ from testbed.objects.faces import room_at
 from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import LEAST_FRAMES, PoseStream
 from testbed.sensing.push_windows import touching
+from testbed.sensing.series import interpolated
 from testbed.trajectory import Phase, Trajectory
 
 APART = 0.015, math.radians(6)
@@ -74,8 +75,7 @@ def _of_held(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
         return ""
     time = camera.time_s[kept]
     by_hand, speed = (
-        np.column_stack([np.interp(time, record.time_s, column) for column in series.T])
-        for series in (record.object_pose, record.object_velocity)
+        interpolated(time, record.time_s, series) for series in (record.object_pose, record.object_velocity)
     )
     off = poses[kept] - by_hand
     off[:, 2] -= math.tau * round(float(np.median(off[:, 2])) / math.tau)
@@ -108,7 +108,7 @@ def _of_push(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
     if abs(first) > APART[0]:
         return _beside(first)
     pushed = np.flatnonzero((time > met + _CLEAR) & (time < record.time_s[contact[-1]]))
-    tips = np.column_stack([np.interp(time[pushed], record.time_s, column) for column in record.tcp_position[:, :2].T])
+    tips = interpolated(time[pushed], record.time_s, record.tcp_position[:, :2])
     gaps = _gaps(shape, poses[pushed], tips, radius)
     if len(pushed) < LEAST_FRAMES:
         return ""

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.sensing.presets import Sensing
+from testbed.sensing.series import interpolated
 from testbed.trajectory import Tool, Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.parameters import FULL_SCALE
@@ -91,10 +92,7 @@ def _late_and_noisy(record: Trajectory, draw: WorldDraw) -> Trajectory:
     series = {name: np.array(getattr(record, name)) for name in _POSES}
     if world.delay:
         then = time - world.delay * draw.rng("delay").uniform()
-        series = {
-            name: np.column_stack([np.interp(then, time, column) for column in values.T])
-            for name, values in series.items()
-        }
+        series = {name: interpolated(then, time, values) for name, values in series.items()}
         series["sensor_orientation"] /= np.linalg.norm(series["sensor_orientation"], axis=1, keepdims=True)
     noise = draw.normal("encoder_noise", 10 * len(time), record.action).reshape(-1, 10)
     place = REACH * noise[:, :2]

@@ -75,7 +75,7 @@ def test_a_run_answers_by_every_label(finished):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", VICTIMS)  # `python bench/sweeps.py kills` draws twenty moments
+@pytest.mark.parametrize("victim", VICTIMS)
 def test_a_killed_run_goes_on(longer, tmp_path, victim):
     scenario, frame, out = longer
     killing = draw_killing(np.random.default_rng(VICTIMS.index(victim)), victim, done_in(out))

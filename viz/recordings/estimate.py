@@ -251,11 +251,8 @@ class _TurnScene:
     def log(self, node: Node) -> None:
         """Log it below `node`, in the world's axes."""
         log_upright(node)
-        frames, body, pose = self._frames, node / "object", self._pose
-        half, still = pose[:, 2] / 2, np.zeros(len(pose))
-        place = np.column_stack([pose[:, :2], still])
-        turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
-        frames.send(body, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
+        frames, body = self._frames, node / "object"
+        _log_poses(body, frames, self._pose)
         if self.shape.chain is not None:
             self._log_links(node, self.shape.chain)
             return
@@ -280,10 +277,8 @@ class _TurnScene:
         frames, camera = self._frames, self.trajectory.camera
         poses = np.zeros((0, 0, 3)) if camera is None else camera.at(self.trajectory.time_s[self._kept])
         for link, pose in enumerate(poses.transpose(1, 0, 2)):
-            body, half, still = node / f"link_{link}", pose[:, 2] / 2, np.zeros(len(pose))
-            place = np.column_stack([pose[:, :2], still])
-            turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
-            frames.send(body, lambda k, p=place, t=turned: rr.Transform3D.columns(translation=p[k], quaternion=t[k]))
+            body = node / f"link_{link}"
+            _log_poses(body, frames, pose)
             own = self.shape.particles[chain.link[self.shape.mass_group] == link]
             (body / "particles").log(rr.Points2D(own, radii=0.3 * self.shape.cell, colors=style.rgb(group_color(link))))
 
@@ -316,6 +311,14 @@ class _TurnScene:
         velocity = self.trajectory.object_velocity[self._kept]
         linear = np.einsum("nji,nj->ni", rotation_2d(self._pose[:, 2]), velocity[:, :2])
         return linear[:, None, :] + velocity[:, 2, None, None] * perpendicular(points)
+
+
+def _log_poses(node: Node, frames: Frames, pose: Float[np.ndarray, "F 3"]) -> None:
+    """Log planar poses [m, rad] of an entity."""
+    half, still = pose[:, 2] / 2, np.zeros(len(pose))
+    place = np.column_stack([pose[:, :2], still])
+    turned = np.column_stack([still, still, np.sin(half), np.cos(half)])
+    frames.send(node, lambda k: rr.Transform3D.columns(translation=place[k], quaternion=turned[k]))
 
 
 def pad_lines(grasp: Grasp) -> Float[np.ndarray, "2 2 2"]:

@@ -19,7 +19,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from estimators.evaluation.statistics import AXIS, FEWEST, Row, assumptions, axes_of, axis_values, select
-from testbed.files import write_whole
+from testbed.files import write_text
 from testbed.objects.model import ObjectShape
 from viz.figures.loss import loss_figure
 from viz.figures.maps import (
@@ -40,6 +40,7 @@ from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import (
     MOST_OBJECTS,
     Table,
+    by_setting,
     metric_table,
     metrics_of,
     over_objects,
@@ -119,8 +120,7 @@ Draw = Callable[..., Illustration]
 
 def write_report(results: Results, path: Path) -> None:
     """Write the report, whole or not at all."""
-    page = render(results)
-    write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
+    write_text(path, render(results))
 
 
 @mpl.rc_context(STYLE)
@@ -130,12 +130,8 @@ def render(results: Results) -> str:
         dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} for row in results.rows
     ]
     estimates = [row for row in rows if row["method"]]  # the others are objects without any estimate
-    groups = {
-        f"{support_name(first['support'])}, {first['sensing']}": select(
-            estimates, support=first["support"], sensing=first["sensing"]
-        )
-        for first in {(row["support"], row["sensing"]): row for row in estimates}.values()
-    }
+    settings = by_setting(estimates).items()
+    groups = {f"{support_name(support)}, {sensing}": found for (support, sensing), found in settings}
     worst_all, worst_own = (worst(found, results.recording_of) for found in worst_of(rows))
     numbers = count(1)
 

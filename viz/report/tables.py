@@ -249,6 +249,12 @@ def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]
     return first, *(Entry(number(float(value))) for value in rest)
 
 
+def by_setting(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Rows under each support and sensing, in the order of the rows."""
+    settings = dict.fromkeys((row["support"], row["sensing"]) for row in rows)
+    return {(support, sensing): select(rows, support=support, sensing=sensing) for support, sensing in settings}
+
+
 def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by support, sensing and point of a sweep, named by what differs among them."""
     axes = axes_of(rows)

@@ -13,7 +13,7 @@ import trimesh
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
-from testbed.files import write_whole
+from testbed.files import write_text, write_whole
 from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import Pose, asked_pose, stable_poses
 from testbed.objects.conversion.proposals import propose_grasps
@@ -162,5 +162,5 @@ def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), fr
         table = {"name": place.name, "at_m": list(place.at), "closing_deg": round(float(np.degrees(place.closing)), 1)}
         rows.append(f"[[mesh.grasps]]\n{toml_text(table)}")
     path = folder / f"{made.name}.toml"
-    write_whole(path, lambda part: part.write_text("\n".join(rows), encoding="utf-8"))
+    write_text(path, "\n".join(rows))
     return path

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
-from testbed.files import write_whole
+from testbed.files import write_text
 from testbed.objects.model import GRAVITY
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
@@ -126,7 +126,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         **({"bias_walk": c.bias_walk.tolist()} if c.bias_walk.any() else {}),
         **({"gravity": c.gravity} if c.gravity != GRAVITY else {}),
     }
-    _write(path, fields)
+    write_text(path, toml_text(fields))
 
 
 def load_calibration(path: Path, sensor: str | None = None) -> Calibration:
@@ -155,7 +155,7 @@ def save_hand_eye(path: Path, found: HandEye, made: str) -> None:
         "residual_m": found.residual,
         "standard_error_m": found.standard_error,
     }
-    _write(path, fields)
+    write_text(path, toml_text(fields))
 
 
 def load_hand_eye(path: Path) -> HandEye:
@@ -167,7 +167,3 @@ def load_hand_eye(path: Path) -> HandEye:
     file = load_toml(path, HandEyeFile)
     pose = Pose(np.array(file.tracker_in_base_m), np.array(file.tracker_in_base_wxyz))
     return HandEye(pose, file.residual_m, file.standard_error_m)
-
-
-def _write(path: Path, fields: dict[str, Any]) -> None:
-    write_whole(path, lambda part: part.write_text(toml_text(fields), encoding="utf-8"))

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InvalidValueError
 from testbed.importers.columns import Columns
 from testbed.importers.logs import LogError, Series, read_all
-from testbed.importers.phases import RATE, check_sensor_alive, common_base, resampled, resampled_rotation, runs
+from testbed.importers.phases import RATE, check_sensor_alive, common_base, resampled, resampled_rotation
 from testbed.importers.poses import Pose, hand_pose
 from testbed.importers.streams import in_sensor_axes, open_log, read_wrench, sensor_log
 from testbed.robot.calibration.static_poses import UNKNOWNS, StaticPose, calibrate, residuals
+from testbed.sensing.series import runs
 from testbed.sensing.windows import mean_covariance
 from testbed.toml import load_toml
 

@@ -1,0 +1,19 @@
+"""Series over time: values between samples, and unbroken stretches of samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+def interpolated(
+    time: Float[np.ndarray, "N"], at: Float[np.ndarray, "T"], values: Float[np.ndarray, "T K"]
+) -> Float[np.ndarray, "N K"]:
+    """Columns of values at some times, along straight lines between those at which they are known; constant beyond."""
+    return np.column_stack([np.interp(time, at, column) for column in values.T])
+
+
+def runs(inside: Bool[np.ndarray, "T"]) -> list[Int[np.ndarray, "N"]]:
+    """Indices of every unbroken stretch of True."""
+    indices = np.flatnonzero(inside)
+    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []

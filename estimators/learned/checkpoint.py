@@ -20,10 +20,12 @@ from estimators.testing.analytic_lab import LAB
 from testbed.files import UNSEALED, load_sealed, write_sealed
 from testbed.worlds.setup_errors import SetupErrors
 
-FORMAT = 1
+FORMAT = 2
 """Version of the format; one of another version is refused."""
 LEAST_FREEDOM = 15
 """Degrees of freedom below which a misfit may be large by chance."""
+FALSE_ALARM = 0.01
+"""Share of the examples whose misfit of friction is above its limit; as many are above that of inertia."""
 COMMAND = "heft learn"
 """Command that makes a checkpoint."""
 
@@ -72,8 +74,8 @@ class Checkpoint:
     """Least of each number of `SUMMARY` among the examples, (n,)."""
     high: Tensor
     """Largest of each, (n,)."""
-    most_misfit: float
-    """Largest misfit of the first answer among examples of `LEAST_FREEDOM` degrees of freedom."""
+    limits: dict[str, float]
+    """Largest misfit of the first answer by its name in `SUMMARY`; `FALSE_ALARM` of the examples are above."""
     loss: float
     """Negative log density of the logarithm of a group's load, nats, on objects that were not trained on."""
     first: float

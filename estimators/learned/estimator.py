@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Float
 
 from estimators.base import Estimate
-from estimators.learned.checkpoint import COMMAND, LEAST_FREEDOM, Checkpoint, default_path
+from estimators.learned.checkpoint import COMMAND, FALSE_ALARM, LEAST_FREEDOM, Checkpoint, default_path
 from estimators.learned.examples import Examples, fixed_axes
-from estimators.learned.question import SUMMARY, Question, ask
+from estimators.learned.question import MISFIT, SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
 from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
 from estimators.posterior.posterior import loose_groups
@@ -197,14 +197,17 @@ def _outside(question: Question, learned: Checkpoint) -> str:
 
 
 def _strange(question: Question, learned: Checkpoint) -> str:
-    """Misfit of the first answer beyond that of every example, in words; empty if it is not.
+    """Misfit of the first answer, of friction or inertia, beyond that of the examples, in words; empty if it is not.
 
     The stated errors of a lab are wide: other errors, such as a rigid support, hide below the limit of other methods.
     """
-    first = question.first.misfit(question.first.mean.exp().numpy())
-    if first.freedom < LEAST_FREEDOM or first.value <= learned.most_misfit:
-        return ""
-    return f"misfit {first.value:.2g}, where no example has more than {learned.most_misfit:.2g}; {NEXT}"
+    found: dict[str, float] = dict(zip(SUMMARY, question.summary.exp().tolist(), strict=True))
+    few = len(question.first.b) - len(question.center) < LEAST_FREEDOM
+    for name, most in learned.limits.items():
+        if found[name] > most and not (name == MISFIT and few):
+            what, value = name.split(",")[0], found[name]
+            return f"{what} {value:.2g}, where {1 - FALSE_ALARM:.0%} of the examples have at most {most:.2g}; {NEXT}"
+    return ""
 
 
 def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:

@@ -26,7 +26,9 @@ TRIALS = 14
 """Most trials of an example."""
 SUBSETS = 3
 """Examples of an object, each of other trials."""
-SPEEDS, SECONDS = (np.radians(5), np.radians(15)), (3.0, 7.0)
+NEAR = 0.5
+"""Part of the objects that are turned beside their grasps alone, as fixed sets of trials do; others anywhere too."""
+SPEEDS, SECONDS = (np.radians(5), np.radians(15)), (3.0, 9.0)
 """Turn rates, rad/s, and times at constant speed, s."""
 RATES = 25.0, 50.0
 """Sampling rates of turns at constant speed and of accelerated ones, Hz: below the usual, to save time."""
@@ -145,7 +147,8 @@ def _of_object(seed: int, index: int) -> list[tuple[Question, Tensor]]:
     obj = drawn(index, seed, pattern, BLOCKS, least_grasps=1)
     sizes = [1 + int(TRIALS * rng.uniform() ** 0.7) for _ in range(SUBSETS)]
     feet, draw = contacts(obj, pattern, LAB, rng), Draw.of(LAB, rng)
-    actions = [_action(obj, rng) for _ in range(max(sizes))]
+    near = rng.uniform() < NEAR
+    actions = [_action(obj, rng, near=near) for _ in range(max(sizes))]
     rates = [RATES[action.accelerated] for action in actions]
     made = [flawed_trial(obj, a, feet, draw, rng, rate) for a, rate in zip(actions, rates, strict=True)]
     made = [replace(trial, setup=LAB) for trial in made]
@@ -160,14 +163,14 @@ def _of_object(seed: int, index: int) -> list[tuple[Question, Tensor]]:
     return found
 
 
-def _action(obj: ObjectModel, rng: np.random.Generator) -> TableAction:
-    """A turn there and back, beside the grasp or about any point of the object, or an accelerated turn."""
+def _action(obj: ObjectModel, rng: np.random.Generator, *, near: bool) -> TableAction:
+    """An accelerated turn, or one there and back: beside the grasp, or unless `near` about any point of the object."""
     grasp = int(rng.integers(len(obj.shape.grasps)))
     if rng.uniform() < 0.4:
         return Accelerate(grasp)
     at = obj.shape.grasps[grasp].position
     beside = obj.shape.cell * rng.choice([-0.5, 0.5], 2)
     reach = np.ptp(obj.shape.particles, axis=0) / 2
-    pivot = at + (beside if rng.uniform() < 0.5 else reach * rng.uniform(-1, 1, 2))
+    pivot = at + (beside if near or rng.uniform() < 0.5 else reach * rng.uniform(-1, 1, 2))
     speed = rng.choice([-1, 1]) * rng.uniform(*SPEEDS)
     return Rotate(grasp, speed=speed, duration=rng.uniform(*SECONDS), pivot=tuple(pivot), back=True)

@@ -1,6 +1,6 @@
 """Trials of one object as the network reads them: windows, groups, and a first answer by linear equations.
 
-The first answer is one Gauss-Newton fit of the logarithms of the friction loads to Algorithm 1's equations, with the
+The first answer is a Gauss-Newton fit of the logarithms of the friction loads to Algorithm 1's equations, with the
 stated errors as covariance: the network learns how the truth departs from it.
 """
 
@@ -30,11 +30,12 @@ ROUNDS = 15
 """Gauss-Newton steps."""
 SPREAD, LEVEL = 0.8, 2.0
 """Prior standard deviations of the logarithm of a group's load about the mean of all, and of that mean."""
-INERTIA = 0.02
-"""Error of a moment of inertia beside the scatter of its torques, as a part of itself: the sensor's gain."""
+PLAIN = 0.03
+"""Error of a window in the guess before the first answer, as a part of the drag."""
 VECTORS = 4
 """Planar vectors at the head of an edge; then as many torques less one, which change sign in a mirror."""
-MISFIT = "misfit of friction, in logarithm"
+TURNS = "accelerated turns"
+MISFIT, MISFIT_OF_INERTIA = "misfit of friction, in logarithm", "misfit of inertia, in logarithm"
 SUMMARY = (
     "groups",
     "side of a group, m",
@@ -43,14 +44,14 @@ SUMMARY = (
     "reach over that of a disk",
     "density, kg/m^3 in logarithm",
     "windows at constant speed",
-    "accelerated turns",
+    TURNS,
     "turn rate, rad/s",
     "distance of pivots over the reach",
     "friction",
     "error of a window over the drag, in logarithm",
     "expected error of a mass, in logarithm",
     MISFIT,
-    "misfit of inertia, in logarithm",
+    MISFIT_OF_INERTIA,
 )
 """Names of `Question.summary`."""
 
@@ -67,13 +68,23 @@ class FirstAnswer:
     """Rows of friction, whitened."""
     b: Float[Tensor, "R"]
     """Their values."""
+    spins: Float[Tensor, "A G"]
+    """Rows of the moments of inertia about A pivots of accelerated turns, whitened; they act on shares of the mass."""
+    inertia: Float[Tensor, "A"]
+    """Their values."""
     equations: FrictionEquations
-    """The rows in N and N m, with their errors."""
+    """The rows of friction in N and N m, with their errors."""
 
     def misfit(self, load: Float[np.ndarray, "G"]) -> Misfit:
         """Misfit of loads by the rows of friction."""
         missing, freedom = self.b - self.q @ torch.tensor(load), len(self.b) - len(load)
         return Misfit(float(missing @ missing) / max(freedom, 1), freedom)
+
+    @property
+    def misfit_of_inertia(self) -> float:
+        """Mean squared residual of the rows of inertia over its variance; 1 without any."""
+        missing = self.inertia - self.spins @ torch.softmax(self.mean, 0)
+        return float(missing.square().mean()) if len(missing) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +119,12 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     every = observe(shape, trajectories, ERRORS["own_weight"])
     if every is None or bool(every.accelerated.all()):
         return None
-    windows = merged(every)
-    trials = TrialWindows.about(shape, weight, windows, ERRORS["own_weight"])
+    windows, turning = merged(every), every.where(every.accelerated)
+    trials, accelerated = (TrialWindows.about(shape, weight, each, ERRORS["own_weight"]) for each in (windows, turning))
     per_group = torch.tensor(shape.particles_per_group, dtype=torch.float64)
-    spins, inertia = _inertias(shape, weight, every)
     start = math.log(float(windows.drag) / (weight * GRAVITY * shape.n_m))
     even = torch.full((shape.n_m,), start, dtype=torch.float64)
-    known = spins, inertia, even
-    first = _first_answer(trials, even, *known)
-    first = _first_answer(trials, first.mean, *known)  # the errors of heavy groups are larger
+    first = _first_answer(trials, accelerated, _guess(trials, even), even)
     mean, covariance, system, q = first.mean, first.covariance, first.equations, first.q
     load = mean.exp()
     drag, reach = float(load.sum()) * weight * GRAVITY, float(trials.model.reach)
@@ -131,7 +139,6 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     area = per_group / per_group.sum()
     spread = covariance.diagonal().sqrt()
     misfit = first.misfit(load.numpy())
-    off = float((inertia - spins @ torch.softmax(mean, 0)).square().mean()) if len(inertia) else 1.0
     steady = ~windows.accelerated
     side = shape.cell * math.sqrt(float(per_group.mean()))
     distance = windows.twist[steady, :2].norm(dim=1) / windows.twist[steady, 2].abs()
@@ -150,7 +157,7 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
         float(error.log().mean()),
         float(spread.log().mean()),
         math.log(misfit.value),
-        math.log(off + 1e-3),
+        math.log(first.misfit_of_inertia + 1e-3),
     )
     return Question(
         (middle - middle.mean(0)) / reach,
@@ -163,20 +170,29 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     )
 
 
+def _guess(trials: TrialWindows, prior: Float[Tensor, "G"]) -> Float[Tensor, "G"]:
+    """Fit of the logarithms of the loads under plain errors: those of a setup depend on the loads."""
+    windows, shape = trials.windows, trials.shape
+    of_group = torch.tensor(np.eye(shape.n_m)[shape.mass_group] / shape.particles_per_group)
+    rows = windows.drag_rows(trials.model, trials.errors.pivot_error) @ of_group
+    plain = PLAIN * windows.drag * torch.tensor([1.0, 1.0, float(trials.model.reach)], dtype=torch.float64)
+    error = (windows.covariance.diagonal(dim1=1, dim2=2) + plain.square()).sqrt()
+    q, b = (rows / error[..., None]).flatten(0, 1) * trials.weight * GRAVITY, (windows.wrench / error).flatten()
+    return _fitted(q, b, torch.zeros(0, shape.n_m).double(), torch.zeros(0).double(), prior)[0]
+
+
 def _first_answer(
-    trials: TrialWindows,
-    guess: Float[Tensor, "G"],
-    spins: Float[Tensor, "A G"],
-    inertia: Float[Tensor, "A"],
-    prior: Float[Tensor, "G"],
+    trials: TrialWindows, accelerated: TrialWindows, guess: Float[Tensor, "G"], prior: Float[Tensor, "G"]
 ) -> FirstAnswer:
     """Fit with the errors at a guess of the logarithms of the loads; `prior` is their mean before the trials."""
     weight, per_group = trials.weight, torch.tensor(trials.shape.particles_per_group, dtype=torch.float64)
     mass = weight * torch.softmax(guess, 0) / per_group
-    equations = trials.friction_equations(MassDistribution(mass.numpy(), np.array([float(guess.exp().sum())])))
+    at = MassDistribution(mass.numpy(), np.array([float(guess.exp().sum())]))
+    equations = trials.friction_equations(at)
     whitened = equations.whitened()
     q, b = whitened.q / per_group * weight * GRAVITY, whitened.b
-    return FirstAnswer(*_fitted(q, b, spins, inertia, prior), q, b, equations)
+    spins, inertia = _inertia_rows(accelerated, at)
+    return FirstAnswer(*_fitted(q, b, spins, inertia, prior), q, b, spins, inertia, equations)
 
 
 def merged(windows: Observations) -> Observations:
@@ -189,26 +205,14 @@ def merged(windows: Observations) -> Observations:
     return found.like(found.by_window | {"noise": found.noise / torch.bincount(group)[:, None, None]})
 
 
-def _inertias(
-    shape: ObjectShape, weight: float, windows: Observations
-) -> tuple[Float[Tensor, "A G"], Float[Tensor, "A"]]:
-    """Moments of inertia about the grasp point by each accelerated turn, in units of their errors: rows a and values y
-    with a x = y, x the groups' shares of the mass.
-
-    The slope of torque over angular acceleration; friction is the same at each.
-    """
-    rows, values = [], []
-    for trial in windows.trial[windows.accelerated].unique():
-        own = windows.accelerated & (windows.trial == trial)
-        if int(own.sum()) < 4:
-            continue
-        alpha, torque = (each[own].numpy() for each in (windows.acceleration[:, 2], windows.wrench[:, 2]))
-        (slope, _), variance = np.polyfit(alpha, torque, 1, cov=True)
-        error = math.hypot(math.sqrt(variance[0, 0]), INERTIA * slope)
-        grasp = windows.grasp[own][:1].numpy()
-        rows.append(weight * inertia_map(shape, grasp)[0] / shape.particles_per_group / error)
-        values.append(slope / error)
-    return torch.tensor(np.array(rows)).reshape(-1, shape.n_m), torch.tensor(np.array(values), dtype=torch.float64)
+def _inertia_rows(accelerated: TrialWindows, at: MassDistribution) -> tuple[Float[Tensor, "A G"], Float[Tensor, "A"]]:
+    """Rows a and values y of a x = y, whitened: moments of inertia of the shares x of the mass about the pivots."""
+    shape, pivots = accelerated.shape, accelerated.pivot_inertias(at, accelerated.friction_loads(at))
+    if pivots is None:
+        return torch.zeros(0, shape.n_m, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
+    whiten = np.linalg.inv(np.linalg.cholesky(pivots.covariance))
+    of_shares = accelerated.weight * inertia_map(shape, pivots.pivot) / shape.particles_per_group
+    return torch.tensor(whiten @ of_shares), torch.tensor(whiten @ pivots.inertia)
 
 
 def _fitted(

@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.learned.checkpoint import LEAST_FREEDOM, Checkpoint, Origin
+from estimators.learned.checkpoint import FALSE_ALARM, LEAST_FREEDOM, Checkpoint, Origin
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.network import Network, Sizes, departures
-from estimators.learned.question import MISFIT, SUMMARY
+from estimators.learned.question import MISFIT, MISFIT_OF_INERTIA, SUMMARY, TURNS
 from estimators.particles.misfit import UNEXPLAINED
 
 BATCH = 64
@@ -68,11 +68,10 @@ def train(
                 best, state = value, copy.deepcopy(network.state_dict())
             progress("epochs", epoch + 1, epochs)
     low, high = examples.summary.min(0).values, examples.summary.max(0).values
-    freedom = 3 * examples.windows.sum(1) - examples.groups.sum(1)
-    misfits = examples.summary[freedom >= LEAST_FREEDOM, SUMMARY.index(MISFIT)].exp()
-    most = max(float(misfits.max()), 1.0) if len(misfits) else UNEXPLAINED
     spent = seconds + time.process_time() - begin
-    return Checkpoint(origin, asdict(network.sizes), state, low, high, most, best, first_loss(held_out), spent)
+    return Checkpoint(
+        origin, asdict(network.sizes), state, low, high, limits_of(examples), best, first_loss(held_out), spent
+    )
 
 
 def loss(network: Network, examples: Examples) -> Float[Tensor, ""]:
@@ -80,6 +79,17 @@ def loss(network: Network, examples: Examples) -> Float[Tensor, ""]:
     root = torch.linalg.cholesky(examples.covariance).diagonal(dim1=1, dim2=2).log()
     density = network.log_prob(examples) - (root * examples.groups).sum(1)
     return -density.sum() / examples.groups.sum()
+
+
+def limits_of(examples: Examples) -> dict[str, float]:
+    """`Checkpoint.limits` by examples with enough rows; at least 1, and `UNEXPLAINED` where there are none."""
+    freedom = 3 * examples.windows.sum(1) - examples.groups.sum(1)
+    counted = {MISFIT: freedom >= LEAST_FREEDOM, MISFIT_OF_INERTIA: examples.summary[:, SUMMARY.index(TURNS)] > 0}
+    found = {name: examples.summary[rows, SUMMARY.index(name)].exp() for name, rows in counted.items()}
+    return {
+        name: max(float(values.quantile(1 - FALSE_ALARM)), 1.0) if len(values) else UNEXPLAINED
+        for name, values in found.items()
+    }
 
 
 def in_drawn_axes(examples: Examples) -> Examples:

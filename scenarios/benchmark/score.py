@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,33 +27,12 @@ MISSING = "missing"
 """Status of a problem without an answer."""
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Center of mass and inertia of an object as functions of the masses of its groups."""
-
-    center: Float[np.ndarray, "n_m 2"]
-    """Center of mass of each group [m], object frame."""
-    spread: Float[np.ndarray, "n_m"]
-    """Inertia of each group about its center of mass, vertical axis, over its mass [m^2]."""
-
-    @staticmethod
-    def of(model: ObjectModel) -> Moments:
-        """Moments of an object, whose own masses do not count."""
-        if model.solids:
-            solids = model.solids
-            return Moments(
-                np.array([solid.center_of_mass[:2] for solid in solids]),
-                np.array([solid.inertia_z / solid.mass for solid in solids]),
-            )
-        shape = model.shape
-        center = np.array([shape.middle_of(group) for group in range(shape.n_m)])
-        square = ((shape.particles - center[shape.mass_group]) ** 2).sum(axis=1) + shape.cell**2 / 6
-        return Moments(center, shape.per_group(square) / shape.per_group(np.ones(len(square))))
-
-    def at(self, mass: Float[np.ndarray, "n_m"]) -> tuple[Float[np.ndarray, "2"], float]:
-        """Center of mass [m] and inertia about it [kg m^2] at masses of the groups [kg]."""
-        middle = mass @ self.center / mass.sum()
-        return middle, float(mass @ (self.spread + ((self.center - middle) ** 2).sum(axis=1)))
+def with_masses(model: ObjectModel, mass: Float[np.ndarray, "n_m"], friction: Float[np.ndarray, "n_mu"]) -> ObjectModel:
+    """Object with other masses of its groups [kg] and other frictions; a body has at least a billionth of the mass."""
+    mass = np.maximum(mass, 1e-9 * mass.sum())
+    solids = tuple(replace(solid, mass=float(own)) for solid, own in zip(model.solids, mass, strict=False))
+    truth = MassDistribution(mass / model.shape.particles_per_group, friction)
+    return replace(model, truth=truth, solids=solids)
 
 
 def interval_score(
@@ -83,16 +62,12 @@ def even_masses(shape: ObjectShape, weight: float) -> Float[np.ndarray, "n_m"]:
 
 def judged_row(problem: Problem, model: ObjectModel, truth: Truth, answer: Answer | None) -> dict[str, Any]:
     """Row of one problem: the answer held against the truth. A missing one counts as even masses."""
-    shape, true = model.shape, np.array(truth.mass_kg)
-    mass, error, answered = even_masses(shape, problem.weight_kg), None, False
+    true = np.array(truth.mass_kg)
+    mass, error, answered = even_masses(model.shape, problem.weight_kg), None, False
     if answer is not None and answer.mass_kg is not None and sum(answer.mass_kg) > 0:
         mass, answered = np.array(answer.mass_kg), True
         error = None if answer.error_kg is None else np.array(answer.error_kg)
-    (c, inertia), (true_c, true_inertia) = (Moments.of(model).at(m) for m in (mass, true))
-    count, friction = shape.particles_per_group, np.array(truth.friction)
-    nad = normalized_absolute_difference(
-        shape, MassDistribution(mass / count, friction), MassDistribution(true / count, friction)
-    )
+    at, exact = (with_masses(model, each, np.array(truth.friction)) for each in (mass, true))
     sharp = None if error is None else interval_score(mass, error, true, problem.weight_kg) / true.sum()
     return {
         "problem": problem.problem,
@@ -101,9 +76,9 @@ def judged_row(problem: Problem, model: ObjectModel, truth: Truth, answer: Answe
         "kind": problem.kind,
         "status": MISSING if answer is None else answer.status,
         "answered": answered,
-        "nad": nad,
-        "com_error_m": float(np.linalg.norm(c - true_c)),
-        "inertia_error": inertia / true_inertia - 1,
+        "nad": normalized_absolute_difference(model.shape, at.truth, exact.truth),
+        "com_error_m": float(np.linalg.norm(at.center_of_mass - exact.center_of_mass)),
+        "inertia_error": at.inertia_cm / exact.inertia_cm - 1,
         "mass_kg": mass.tolist(),
         "mass_error_kg": None if error is None else error.tolist(),
         "true_mass_kg": true.tolist(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -111,19 +111,27 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     }
 
 
-def _table(title: str, first: str, lines: Mapping[str, Mapping[str, float]]) -> Table:
-    """Table with a column a figure."""
+def _table(title: str, first: str, headings: Iterable[str], lines: Mapping[str, Sequence[str]]) -> Table:
+    """Table of cells, a row a line; `first` heads their names."""
     from rich import box
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE)
     table.add_column(first, no_wrap=True)
-    for heading, _, _ in COLUMNS.values():
+    for heading in headings:
         table.add_column(heading, justify="right")
-    for name, found in lines.items():
-        cells = [_number(factor * found[key], form) for key, (_, factor, form) in COLUMNS.items()]
+    for name, cells in lines.items():
         table.add_row(name, *cells)
     return table
+
+
+def _of_figures(title: str, first: str, lines: Mapping[str, Mapping[str, float]]) -> Table:
+    """Table with a column a figure."""
+    cells = {
+        name: [_number(factor * found[key], form) for key, (_, factor, form) in COLUMNS.items()]
+        for name, found in lines.items()
+    }
+    return _table(title, first, [heading for heading, _, _ in COLUMNS.values()], cells)
 
 
 def _number(value: float, form: str) -> str:
@@ -135,24 +143,26 @@ def _by_cell(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> lis
     from scenarios.benchmark.score import figures
 
     (name, own), (_, even) = rows.items()
-    return [_table(f"{name}, {split}", "world, kind", _cells(own) | {"all": figures(own), EVEN: figures(even)})]
+    return [_of_figures(f"{name}, {split}", "world, kind", _cells(own) | {"all": figures(own), EVEN: figures(even)})]
 
 
 def _by_method(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:
     """Tables of several methods: all figures, and the mean NAD of each world and of each kind."""
-    from rich import box
-    from rich.table import Table
-
     from scenarios.benchmark.score import figures
 
-    whole = _table(f"all problems, {split}", "answers", {name: figures(each) for name, each in rows.items()})
     first = next(iter(rows.values()))
     parts = [(field, value) for field in ("world", "kind") for value in dict.fromkeys(row[field] for row in first)]
-    nad = Table(title=f"mean NAD by world, then by kind, %, {split}", title_justify="left", box=box.SIMPLE)
-    nad.add_column("answers", no_wrap=True)
-    for _, value in parts:
-        nad.add_column(value, justify="right")
-    for name, each in rows.items():
+
+    def nads(each: Sequence[Mapping[str, Any]]) -> list[str]:
         found = [figures([row for row in each if row[field] == value])["nad"] for field, value in parts]
-        nad.add_row(name, *(_number(100 * value, ".3g") for value in found))
-    return [whole, nad]
+        return [_number(100 * value, ".3g") for value in found]
+
+    return [
+        _of_figures(f"all problems, {split}", "answers", {name: figures(each) for name, each in rows.items()}),
+        _table(
+            f"mean NAD by world, then by kind, %, {split}",
+            "answers",
+            [value for _, value in parts],
+            {name: nads(each) for name, each in rows.items()},
+        ),
+    ]

@@ -9,9 +9,10 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.learned.checkpoint import Checkpoint, Origin
+from estimators.learned.checkpoint import FALSE_ALARM, LEAST_FREEDOM, Checkpoint, Origin
 from estimators.learned.estimator import Learned
 from estimators.learned.examples import fixed_axes, make_examples
+from estimators.learned.question import MISFIT, MISFIT_OF_INERTIA, SUMMARY
 from estimators.registry import code_of
 from estimators.testing.analytic_lab import LAB, drawn
 from estimators.testing.analytic_links import drawn_chain
@@ -32,9 +33,8 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A network of few examples, and its examples."""
-    examples = make_examples(SEED, range(8))
-    held_out = make_examples(SEED, range(8, 10))
-    learned = train(examples, held_out, Origin(10, SEED), epochs=25)
+    examples = make_examples(SEED, range(10))
+    learned = train(examples, examples, Origin(10, SEED), epochs=25)  # the best on the same: few others say nothing
     path = tmp_path_factory.mktemp("learned") / "learned.pt"
     learned.save(path)
     return Learned(str(path)), learned, examples
@@ -52,6 +52,15 @@ def test_training_lowers_the_loss(trained):
         assert (
             float(loss(network_of(learned), examples.turned(*fixed_axes(len(examples))))) < first_loss(examples) - 0.05
         )
+
+
+def test_limits_are_quantiles_of_the_examples_misfits(trained):
+    _, learned, examples = trained
+    misfit = examples.summary[:, SUMMARY.index(MISFIT)].exp()
+    assert set(learned.limits) == {MISFIT, MISFIT_OF_INERTIA} and min(learned.limits.values()) >= 1
+    few = 3 * examples.windows.sum(1) - examples.groups.sum(1) < LEAST_FREEDOM
+    above = misfit[~few] > learned.limits[MISFIT]
+    assert 0 < (~few).sum() and above.sum() <= max(1, FALSE_ALARM * len(above))
 
 
 def test_draws_and_density_are_of_one_distribution(trained):

@@ -15,8 +15,9 @@ from estimators.learned.examples import RATES, Examples, fixed_axes
 from estimators.learned.question import ask
 from estimators.particles.observe import observe
 from estimators.registry import check_installed, code_of
-from estimators.testing.analytic_lab import Draw, contacts, drawn, flawed_trial
+from estimators.testing.analytic_lab import LAB, Draw, contacts, drawn, flawed_trial
 from estimators.testing.analytic_world import drawn_object
+from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.worlds.setup_errors import SetupErrors
@@ -53,6 +54,19 @@ def test_names_of_groups_do_not_count_in_a_question():
     first, second = (Examples.of([question]).turned(*axes) for question in (one, other))
     assert_allclose(second.mean, first.mean, rtol=1e-6)
     assert_allclose(second.covariance, first.covariance, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_first_answer_weighs_inertia_by_its_true_error():
+    """The inertia of the true masses is what accelerated turns show, within the errors; that of others is not."""
+    obj, rng = drawn(1, SEED, "corners", (4, 4)), np.random.default_rng(0)
+    feet, draw = contacts(obj, "corners", LAB, rng), Draw.of(LAB, rng)
+    actions = [Rotate(0, duration=4.0, back=True), *(Accelerate(grasp) for grasp in range(3))]
+    question = ask(obj.shape, obj.total_mass, [flawed_trial(obj, a, feet, draw, rng) for a in actions])
+    assert question is not None
+    first, share = question.first, obj.group_mass / obj.total_mass
+    off, other = ((first.inertia.numpy() - first.spins.numpy() @ x) ** 2 for x in (share, share[::-1]))
+    assert len(off) == 3 and off.mean() < 4 < other.mean()
 
 
 @pytest.mark.slow

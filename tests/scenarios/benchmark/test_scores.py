@@ -10,13 +10,13 @@ import pytest
 
 from scenarios.benchmark.answers import Answer, read_answers, write_answers
 from scenarios.benchmark.score import (
-    Moments,
     even_masses,
     figures,
     interval_score,
     judged_row,
     score,
     truths,
+    with_masses,
 )
 from scenarios.cli.main import main
 from testbed.errors import InvalidValueError
@@ -134,11 +134,14 @@ def test_the_true_spread_has_the_least_interval_score():
 
 
 @pytest.mark.parametrize("name", ["L2", "hammer"])
-def test_moments_are_those_of_the_object(name):
+def test_an_object_takes_other_masses(name):
     model = load_object(name)
-    center, inertia = Moments.of(model).at(model.group_mass)
-    assert center == pytest.approx(model.center_of_mass, abs=1e-12)
-    assert inertia == pytest.approx(model.inertia_cm)
+    same, heavy = (with_masses(model, f * model.group_mass, model.truth.friction) for f in (1, 3))
+    assert same.center_of_mass == pytest.approx(model.center_of_mass)
+    assert (same.inertia_cm, heavy.inertia_cm) == pytest.approx((model.inertia_cm, 3 * model.inertia_cm))
+    first = with_masses(model, np.eye(model.shape.n_m)[0], model.truth.friction)  # the others have none
+    alone = model.solids[0].center_of_mass[:2] if model.solids else model.shape.middle_of(0)
+    assert first.center_of_mass == pytest.approx(alone, abs=1e-8)
     assert even_masses(model.shape, 2.0).sum() == pytest.approx(2.0)
 
 

@@ -1,7 +1,5 @@
 """Direction of imports: testbed, then estimators, then viz, then scenarios; and where MuJoCo and drivers may be."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from pathlib import Path

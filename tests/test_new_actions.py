@@ -1,7 +1,5 @@
 """Actions defined here alone go through simulation, robot, files, logs, planning, estimates and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache

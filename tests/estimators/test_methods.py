@@ -1,7 +1,5 @@
 """Every method of the registry keeps the rules of the conformance kit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

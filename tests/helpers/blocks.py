@@ -1,7 +1,5 @@
 """Block objects of one friction."""
 
-from __future__ import annotations
-
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import ObjectModel
 

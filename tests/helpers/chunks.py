@@ -1,7 +1,5 @@
 """A Rerun recording read back from its file."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import dataclass, field

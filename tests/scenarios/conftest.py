@@ -1,7 +1,5 @@
 """A finished sweep that the tests of runs and of results share: made once."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path

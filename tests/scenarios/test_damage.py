@@ -1,7 +1,5 @@
 """Damage on disk: named in every file, made again where it can be, left out where it cannot, and never silent."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable
 from pathlib import Path

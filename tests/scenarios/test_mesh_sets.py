@@ -1,7 +1,5 @@
 """Scenarios on a user's folder of mesh files: the objects made of them, their masses, and what is refused."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Results folders: read as tables and trajectories, counted by `heft status`, planned by --dry-run."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Runs of a scenario: whatever happens to one, the same command goes on to the results of an undisturbed run."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

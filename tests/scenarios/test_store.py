@@ -1,7 +1,5 @@
 """A results folder: content keys, and trials and estimates that are read back as they were written."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """No truth within reach of what `estimate` and `next` are given in a run."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Errors: what becomes of one between processes."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

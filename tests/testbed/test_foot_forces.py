@@ -1,7 +1,5 @@
 """Forces of the table on the feet, as they are kept beside a trial."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

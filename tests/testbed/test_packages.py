@@ -1,7 +1,5 @@
 """A user's own package of a name of heft's: what hides what is said, and the user's tests run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Parsers of strangers' files end within their limits, and say why in a line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

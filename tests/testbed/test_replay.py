@@ -1,7 +1,5 @@
 """Replay: what was recorded comes back, in order, for the trial it was recorded for and no other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

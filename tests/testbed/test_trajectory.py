@@ -1,7 +1,5 @@
 """Trajectories: checked at construction, and the same bits back from a file."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Maps of answers that nobody knows the truth of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

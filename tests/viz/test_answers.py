@@ -1,7 +1,5 @@
 """Answers for people: sums, centers and intervals follow from the masses and their covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recording of an object: parts, points of contact and grasps, before anything is felt."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The picture of a plan: panels in line, one scale, numbers beside the arrows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A family of actions as a box: every point is an action, every candidate a point."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Planning: information that adds, designs that are the best there is, plans that end for a reason."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations

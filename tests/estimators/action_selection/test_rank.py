@@ -1,7 +1,5 @@
 """The rank-driven policy, and the rank that turns can have."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

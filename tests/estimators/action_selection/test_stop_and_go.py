@@ -1,7 +1,5 @@
 """Stop-and-go lifts as a policy, and in a scenario's [policy]."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

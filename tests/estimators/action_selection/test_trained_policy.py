@@ -1,7 +1,5 @@
 """The trained policy: greedy at zero weights, another plan by others, and a file of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The paper's baselines in a world of exact Coulomb friction: recovery, use of M, traces and statuses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from statistics import median

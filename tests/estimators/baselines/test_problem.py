@@ -1,7 +1,5 @@
 """Eq. problem on steady windows: predicted wrench, loss and gradient, against plain numpy and the dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One rule for the status of every method: `ok` alone where the masses explain the trials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Friction loads: the linear system, its rank, and the two ways to its minimum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

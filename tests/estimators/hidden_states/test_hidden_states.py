@@ -1,7 +1,5 @@
 """Algorithm 1 in a world of exact Coulomb friction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

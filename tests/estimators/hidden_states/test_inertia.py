@@ -1,7 +1,5 @@
 """Moments of inertia by slope, then the center of mass and I_cm by the parallel-axis theorem."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

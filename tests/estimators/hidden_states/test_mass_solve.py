@@ -1,7 +1,5 @@
 """Mass and friction from hidden states: exact from exact ones, and honest about what they leave open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Algorithm 1 as printed, against the paper's equations written out particle by particle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

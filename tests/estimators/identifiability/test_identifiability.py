@@ -1,7 +1,5 @@
 """Identifiability: open directions by name, the bound against the scatter, infinity where nothing is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`heft identify`: the actions it plans, what it prints, what it draws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

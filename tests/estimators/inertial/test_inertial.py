@@ -1,7 +1,5 @@
 """Inertial parameters of a held body: the wrench of point masses, recoveries, and intervals that hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From trials with lifts to inertial parameters: recoveries in a world of Newton's law alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Payloads: a simulated lift gives the object in the sensor's frame; each robot's form; calibrations."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Questions to the learned posterior: their symmetries and files; and its settings."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

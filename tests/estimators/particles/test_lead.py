@@ -1,7 +1,5 @@
 """Friction that leads the motion: MuJoCo's feet drag against v + a / b."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evidence of linear models of known evidence, and of errors that are stated too large or too small."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

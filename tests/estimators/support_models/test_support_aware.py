@@ -1,7 +1,5 @@
 """Choice of the support model, and the masses under one rigid body."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Forward model of an object on the table, against exact Coulomb worlds and against true flaws of a setup."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Error of the scale: every method and every prediction counts it alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

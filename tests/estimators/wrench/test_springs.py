@@ -1,7 +1,5 @@
 """Loads of groups that springs join: between own weight and one rigid body, as at rest in simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Support models: every load is accounted for, and nothing depends on the order of things."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The benchmark from simulation to scores: made, resumed, answered; and methods on its problems."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

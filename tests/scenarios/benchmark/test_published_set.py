@@ -1,7 +1,5 @@
 """The published folder: trials rebuilt as they were, and no truth of the test split."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict

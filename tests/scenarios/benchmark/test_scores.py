@@ -1,7 +1,5 @@
 """Answers as CSV, also one written by hand with its mistakes, and their scores against closed formulas."""
 
-from __future__ import annotations
-
 import json
 import math
 

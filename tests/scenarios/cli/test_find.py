@@ -1,7 +1,5 @@
 """heft import --find: the actions of a long recording as a table, and as [[logs]] that import them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The command ends though a plug-in's thread does not."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Commands that only look: they answer at once, tell the truth of a folder, and fit the terminal."""
 
-from __future__ import annotations
-
 import io
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Actions: plain data and back, and values out of range refused."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """The table's edge: known to planning and to the bench, and exact."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Profiles and tool paths: what simulation and the real bench both follow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

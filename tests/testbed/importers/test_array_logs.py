@@ -1,7 +1,5 @@
 """Logs in Parquet and HDF5 files, episodes of one table, and constants in place of columns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

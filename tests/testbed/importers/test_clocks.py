@@ -1,7 +1,5 @@
 """Pose and wrench from separate streams: the delay between them is found from accelerated turns, and taken off."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

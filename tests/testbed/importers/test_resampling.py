@@ -1,7 +1,5 @@
 """Resampling to 100 Hz: lines and turns stay what they are, fast noise is averaged and does not fold in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

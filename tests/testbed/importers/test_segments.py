@@ -1,7 +1,5 @@
 """A recording of several actions is taken apart: kinds, speeds, stretches, centers, and grasps come back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

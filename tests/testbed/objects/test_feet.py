@@ -1,7 +1,5 @@
 """Feet of known places: in object files, in the simulation, in files of results."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

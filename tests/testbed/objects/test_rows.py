@@ -1,7 +1,5 @@
 """Grasps across rows of blocks, as far as the hand opens: where they are, and turns by them in simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Objects made of meshes on the simulated bench: their masses come out, though an estimator sees cells."""
 
-from __future__ import annotations
-
 import pytest
 
 from estimators.action_selection.rank import between_particles

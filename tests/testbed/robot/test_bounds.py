@@ -1,7 +1,5 @@
 """Units and signs mistaken in the robot's files: refused by a bound on every number, before anything is connected."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args

@@ -1,7 +1,5 @@
 """Calibration by static poses, and of a tracker: all comes back with honest errors, or is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The trial that tells whether a calibration holds: a right one passes, and each wrong one is named."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Lifts on the real arm: the leg in the air, its limits, and whole trials on the fake one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Turns over the wires of fakes, in real time: they must end in the masses that the pure simulation ends in."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

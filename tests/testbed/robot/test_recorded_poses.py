@@ -1,7 +1,5 @@
 """Static poses from a recording: rests and slow motion are found, and a calibration of them has honest errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

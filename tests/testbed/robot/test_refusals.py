@@ -1,7 +1,5 @@
 """Values that the robot's classes and functions refuse, each with its field and what is allowed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

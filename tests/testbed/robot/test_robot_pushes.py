@@ -1,7 +1,5 @@
 """Pushes, and objects in links, on a fake robot with a camera in simulated time."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Whole trials on a fake robot in simulated time, and the plans of their paths."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Limits of the real bench: each one alone is found, named, and told with what is allowed."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motion against the actions that are told: a wrong closing direction, TCP, grasp or side is named with its size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

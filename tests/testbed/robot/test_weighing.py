@@ -1,7 +1,5 @@
 """Weighing through the sensor, a known mass as a check, and where a held object hangs."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Faults of programs and connections on a fake Gen3 without a limit of its own; bench/faults.py measures them all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

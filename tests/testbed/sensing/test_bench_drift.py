@@ -1,7 +1,5 @@
 """Drift of the sensor in trials of the real robot and in imported logs, and what estimators make of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drift: seen between two tares, whatever the tool weighs; too much of it makes a trial no data."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

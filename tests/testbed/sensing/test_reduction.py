@@ -1,7 +1,5 @@
 """Reduction: constant wrenches come back exactly, and the covariance of a mean is what repetition shows."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

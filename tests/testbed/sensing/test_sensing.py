@@ -1,7 +1,5 @@
 """Sensing: the tool and a constant bias vanish, the drawn errors have the statistics that were asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

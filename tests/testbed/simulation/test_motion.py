@@ -1,7 +1,5 @@
 """Planned motions: the tool goes where the action says, at the speed it says."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

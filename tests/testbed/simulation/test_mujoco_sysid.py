@@ -1,7 +1,5 @@
 """MuJoCo's system identification: wrench of its scene, recovery, and the error without its dependencies."""
 
-from __future__ import annotations
-
 import re
 
 import mujoco

@@ -1,7 +1,5 @@
 """Trials in simulation, compared with the true contact forces and with Coulomb's law."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -1,7 +1,5 @@
 """The scene: signs, parts and supports, compared with closed formulas."""
 
-from __future__ import annotations
-
 import math
 
 import dm_control.mujoco

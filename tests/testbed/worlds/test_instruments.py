@@ -1,7 +1,5 @@
 """Arm and sensor of a world: each error alone acts on a clean record as it says, and leaves the rest."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

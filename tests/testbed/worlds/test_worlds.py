@@ -1,7 +1,5 @@
 """Worlds in the simulation: each quantity alone does what it says, and the ideal world is as without any."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 from functools import cache

@@ -10,6 +10,7 @@ import pytest
 from tests.helpers.runs import resumed, small_scenario
 
 METHODS = """
+held_out = 1
 [methods.hidden_states]
 [methods.bare]
 method = "random_search"

@@ -76,12 +76,6 @@ def test_it_reaches_the_minimum_where_the_valley_bends(capsys):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("wrong", [{"support": "springs"}, {"weighting": "velocity"}, {"iterations": 0}], ids=str)
-def test_a_wrong_setting_is_refused_by_name(wrong):
-    with pytest.raises(InvalidValueError, match=rf"MujocoSysid\.{next(iter(wrong))}"):
-        MujocoSysid(**wrong)
-
-
 @pytest.mark.slow
 @with_toolbox
 @pytest.mark.parametrize("holds", (*CONFORMANCE, *WITHOUT_DRAWS), ids=lambda rule: rule.__name__)

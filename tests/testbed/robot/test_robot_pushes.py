@@ -36,8 +36,8 @@ PUSH = Push((0.05, -0.01), math.pi)
 SLOW = pytest.mark.slow
 
 
-def run(trial: Trial, watch=lambda _: None, **of_runner):
-    robot, runner = robot_for(trial, watch, seed=1, change=briefly, **of_runner)
+def run(trial: Trial, watch=lambda _: None, change=briefly, **of_runner):
+    robot, runner = robot_for(trial, watch, seed=1, change=change, **of_runner)
     with runner:
         return runner.run(trial), robot
 
@@ -162,7 +162,7 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
     ],
 )
 def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, links):
-    record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]))
+    record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]), change=replace)
     assert record.status == "fault" and re.search(LIES[lie][1], record.reason), record.reason
     assert not robot.world.driven
 
@@ -173,7 +173,7 @@ def test_an_honest_camera_is_no_liar(links):
     """In ten trials each; a tag that flips for one frame is left out."""
     trial = DRAG if links else PUSH_TRIAL
     for seed in range(10):
-        robot, runner = robot_for(trial, seed=seed, change=briefly)
+        robot, runner = robot_for(trial, seed=seed)
         robot.camera.lies = lambda f: shifted(0.05, 0, 1.5)(f) if len(f) % 40 == 39 else f[-1]
         with runner:
             record = runner.run(trial)

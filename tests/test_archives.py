@@ -1,7 +1,5 @@
 """Folders that earlier versions of heft wrote are read as they read them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """Actions defined here alone go through simulation, robot, files, logs, planning, estimates and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -122,7 +120,7 @@ def test_it_is_simulated_along_its_path_and_stored(kind, tmp_path):
     assert load_trajectory(tmp_path / "trial.npz").action == action
 
 
-@KIND
+@pytest.mark.parametrize("kind", ["arc", pytest.param("bend", marks=pytest.mark.slow)])
 def test_it_is_exported_and_imported(kind, tmp_path):
     pytest.importorskip("rosbags", reason="needs the extra robot")
     given = simulated(kind)
@@ -145,6 +143,7 @@ def test_it_is_planned(kind):
     assert plan.seconds > sum(action.seconds for action in plan.actions)
 
 
+@pytest.mark.slow
 def test_masses_follow_from_it():
     trials = [simulated("arc", index) for index in range(len(ACTIONS["arc"]))]
     answer = Bayes().estimate(L2.shape, L2.total_mass, [*trials, simulated("bend"), simulated("bend", 1)], 0)

@@ -1,7 +1,5 @@
 """Every name in docs/paper_to_code.md exists."""
 
-from __future__ import annotations
-
 import re
 from importlib import import_module
 from typing import Any

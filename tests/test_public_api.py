@@ -3,8 +3,6 @@
 `python tests/test_public_api.py` writes `public_api.txt` anew, for an intended change of the interface.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

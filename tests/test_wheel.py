@@ -1,7 +1,5 @@
 """The wheel holds all that heft needs, wherever it is run from."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

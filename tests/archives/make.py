@@ -6,8 +6,6 @@ slide of an object in links; an imported log with its mapping; a calibration; an
 in each (`read.json`).
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Content of a golden folder, as plain data that can be held against what the version that wrote it read."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every field of an answer is checked when the answer is made."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

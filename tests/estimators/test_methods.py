@@ -1,7 +1,6 @@
 """Every method of the registry keeps the rules of the conformance kit."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import replace
 
 import pytest
@@ -20,8 +19,15 @@ from estimators.learned.estimator import Learned
 from estimators.posterior.estimator import Bayes
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
-from estimators.testing.analytic_world import drawn_object
+from estimators.testing.analytic_world import drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, clean_answer, small_object
+from testbed.errors import InvalidValueError
+
+
+def few_blocks(seed):
+    """Four blocks: more masses than a single turn shows."""
+    return drawn_object(seed, [["010", "111"], ["100", "111"], ["110", "011"]][seed % 3])
+
 
 BASELINES = {
     "random_search": RandomSearch(),
@@ -37,18 +43,18 @@ PEERS = {
 }
 VARIANTS = {
     "hidden_states": (HiddenStates(), drawn_object),
-    "descent": (HiddenStates(solver="descent"), drawn_object),
-    "published": (PublishedHiddenStates(), drawn_object),
+    "descent": (HiddenStates(solver="descent"), few_blocks),
+    "published": (PublishedHiddenStates(), few_blocks),
     "published, exact": (PublishedHiddenStates(solver="closed_form", gripper_load=True), drawn_object),
-    "bayes": (Bayes(), drawn_object),
-    "support_aware": (SupportAware(), drawn_object),
-    "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), drawn_object),
+    "bayes": (Bayes(), few_blocks),
+    "support_aware": (SupportAware(), few_blocks),
+    "support_aware of materials": (SupportAware(materials_kg=(0.1, 0.4)), few_blocks),
     **{name: (kind, small_object) for name, kind in BASELINES.items()},
     **{f"{name} with M": (replace(kind, use_weight=True), small_object) for name, kind in BASELINES.items()},
     **{name: (kind, small_object) for name, kind in PEERS.items()},
 }
 SLOW = (
-    *("descent", "published", "support_aware of materials", "diff_lcp", "nelder_mead"),
+    *("descent", "published", "support_aware", "support_aware of materials", "diff_lcp", "nelder_mead"),
     *(f"{name} with M" for name in BASELINES),
 )
 """Held by CI alone: each has a quick twin, in method or in one setting."""
@@ -88,3 +94,65 @@ def test_conformance(estimator, draw, holds):
 def test_every_method_of_the_registry_is_held_to_the_protocol():
     held = {type(estimator) for estimator, _ in VARIANTS.values()}
     assert set(METHODS.values()) == held | {MujocoSysid, Learned}  # slow: their own tests hold them
+
+
+WRONG: tuple[tuple[type[Estimator], dict[str, object], str], ...] = (
+    *((kind, {"iterations": 0}, "an integer >= 1") for kind in map(type, BASELINES.values())),
+    *((RandomSearch, {"iterations": bad}, "an integer >= 1") for bad in (-3, 2.5, True)),
+    *((RandomSearch, {"use_weight": bad}, "true or false") for bad in (1, "yes")),
+    (RandomSearch, {"weighting": "none"}, "velocity"),
+    *((RandomSearch, {"pivot_error": bad}, ">= 0") for bad in (-1.0, math.nan)),
+    (WeightedSampling, {"grid_part": 0.0}, "> 0"),
+    (WeightedSampling, {"grid_part": 1.5}, "<= 1"),
+    (WeightedSampling, {"decay": 1.1}, "<= 1"),
+    (WeightedSampling, {"decay": -0.5}, "> 0"),
+    (WeightedSampling, {"first_deviation": 0.0}, "> 0"),
+    (WeightedSampling, {"generation": 0}, "an integer >= 1"),
+    (WeightedSampling, {"generation": 2.0}, "an integer >= 1"),
+    *(
+        (kind, {"optimizers": bad}, "adam, rmsprop, plain")
+        for kind in (ExplicitState, DiffLcp)
+        for bad in ((), ("sgd",))
+    ),
+    *((kind, {"learning_rate": bad}, "> 0") for kind in (ExplicitState, DiffLcp) for bad in (0.0, math.inf)),
+    (DiffLcp, {"weighting": "covariance"}, "velocity"),
+    (DiffLcp, {"samples": 0}, "an integer >= 1"),
+    (DiffLcp, {"directions": 7}, "even integer >= 4"),
+    (DiffLcp, {"substeps": 0}, "an integer >= 1"),
+    *((HiddenStates, {"optimizers": bad}, "adam, rmsprop, plain") for bad in ((), ("newton",))),
+    *((kind, {"solver": "exact"}, "closed_form") for kind in (HiddenStates, PublishedHiddenStates)),
+    *((kind, {"steps": 0}, "an integer >= 1") for kind in (HiddenStates, PublishedHiddenStates)),
+    (HiddenStates, {"refinements": 0}, "an integer >= 1"),
+    (HiddenStates, {"pivot_error": -1.0}, ">= 0"),
+    (HiddenStates, {"weight_error": 0.0}, "> 0"),
+    (PublishedHiddenStates, {"optimizers": ()}, "adam, rmsprop, plain"),
+    (PublishedHiddenStates, {"learning_rate": 0.0}, "> 0"),
+    (PublishedHiddenStates, {"gripper_load": 1}, "true or false"),
+    (Learned, {"checkpoint": 3}, ""),
+    (Learned, {"draws": 2}, ""),
+    (MujocoSysid, {"support": "springs"}, ""),
+    (MujocoSysid, {"weighting": "velocity"}, ""),
+    (MujocoSysid, {"iterations": 0}, ""),
+    (SupportAware, {"materials_kg": (0.1, -1.0)}, "numbers > 0"),
+    (SupportAware, {"materials_kg_m3": (1000.0,), "materials_kg": (0.1, 0.4)}, "masses or densities, not both"),
+    (SupportAware, {"confidence": 1.0}, "a number > 0 and < 1"),
+    (SupportAware, {"false_alarms": 0.0}, "a number > 0 and < 1"),
+)
+
+
+@pytest.mark.parametrize(("kind", "settings", "allowed"), WRONG)
+def test_a_wrong_setting_is_refused(kind, settings, allowed):
+    (name, given), *_ = settings.items()
+    with pytest.raises(InvalidValueError) as refused:
+        kind(**settings)
+    assert refused.value.field.rpartition(".")[2] == name
+    assert repr(given) in str(refused.value)
+    assert allowed in refused.value.allowed
+
+
+@pytest.mark.parametrize("kind", [HiddenStates, PublishedHiddenStates])
+@pytest.mark.parametrize("weight", [None, 0.0, -1.0, math.nan])
+def test_no_weight_is_refused(kind, weight):
+    obj = drawn_object(0)
+    with pytest.raises(InvalidValueError, match=r"^weight:"):
+        kind().estimate(obj.shape, weight, turns(obj), 0)

@@ -1,7 +1,5 @@
 """The table of faults: everything that may go wrong on the real robot, put into a trial on the fake one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Errors of a real setup on top of exact Coulomb friction: bias, grasp offset, anisotropy, another law of friction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 It looks at the terminal's speed as the wire would: at another baud rate it understands nothing and is not understood.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import termios

@@ -5,8 +5,6 @@ degrees a second, moves on until it is told otherwise, ignores a twist's duratio
 notification, and stops when a connection has been silent for as long as it was told to allow.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import socket

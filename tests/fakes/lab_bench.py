@@ -1,7 +1,5 @@
 """Another bench's logs, made from a trajectory: odd units, frames and rates, and the mapping to them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

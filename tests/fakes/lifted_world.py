@@ -1,7 +1,5 @@
 """Lift of an object, particle by particle by Newton's law alone, without a simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

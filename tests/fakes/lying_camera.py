@@ -1,7 +1,5 @@
 """Cameras of the fake robot that send other frames than the true ones, from the begin of the motion on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

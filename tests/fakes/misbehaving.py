@@ -1,7 +1,5 @@
 """Methods and tasks that do what they should not: for tests of the runs around them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

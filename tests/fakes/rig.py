@@ -1,7 +1,5 @@
 """A fake Gen3 and a fake FT-300S on one simulated robot, in a process of their own in real time; trials on them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

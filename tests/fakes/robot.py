@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.rotate import Rotate
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.camera.interface import CameraLostError, SeenFrame
 from testbed.robot.config import RobotSettings
@@ -39,6 +38,7 @@ from testbed.sensing.presets import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import Trial
 from tests.fakes.world import TICK, Gen3World
+from tests.helpers.blocks import blocks
 
 WATCHDOG, SILENCE = 0.05, 0.1
 """Times without a command, and without a connection or a frame, that stop the arm or lose the sensor [s]."""
@@ -424,10 +424,12 @@ ACTION = Rotate(0, speed=0.3, duration=1.6, pivot=(0.0, 0.01))
 
 def small_object() -> ObjectModel:
     """Two blocks: the least physics that shows everything."""
-    cells = parse_layout(["11"])
-    return block_object(
-        "two", cells, size=0.05, height=0.03, mass=[0.4, 0.3], friction=[0.5], friction_group=[0, 0], grid=2
-    )
+    return blocks(["11"], [0.4, 0.3], grid=2, name="two")
+
+
+def briefly(settings: RobotSettings) -> RobotSettings:
+    """Settings with short waits, for trials that test the motion alone."""
+    return replace(settings, tare_time=0.4, settle_time=0.6, hover=0.03, travel_speed=0.13)
 
 
 def robot_for(

@@ -1,7 +1,5 @@
 """A hand held still in many ways with a sensor on it, by the lever law alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

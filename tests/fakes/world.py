@@ -3,8 +3,6 @@
 The maker's controller is not known; this one follows a twist with the joint servo of the simulation.
 """
 
-from __future__ import annotations
-
 import math
 
 import mujoco

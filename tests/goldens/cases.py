@@ -1,7 +1,5 @@
 """Eight cases that hold the rows, errors and answers of a kind of trial, and the numbers that are kept of each."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Freeze the numbers of cases and sweeps, where a change is meant: python -m tests.goldens.make [NAME ...]."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows, errors and answers stay what they were while the code behind them changes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Changes to files, as chance or a stranger makes them."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

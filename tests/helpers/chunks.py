@@ -1,14 +1,12 @@
 """A Rerun recording read back from its file."""
 
-from __future__ import annotations
-
 import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun_cli
 from rerun.chunk import RrdReader
 
 
@@ -51,4 +49,5 @@ def read_chunks(path: Path) -> dict[str, Entity]:
 
 def verify(path: Path) -> None:
     """Raises where `rerun rrd verify` finds a fault."""
-    subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(path)], check=True, capture_output=True)
+    program = Path(rerun_cli.__file__).with_name("rerun")  # without the start of Python
+    subprocess.run([program, "rrd", "verify", path], check=True, capture_output=True)

@@ -1,7 +1,5 @@
 """Trials of an object in the analytic lab, and the object with its groups called otherwise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

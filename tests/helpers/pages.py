@@ -1,7 +1,5 @@
 """Pages of the documentation: fenced blocks, sections and tables."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Short simulated trials in a results folder, as a run leaves them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from scenarios.results.store import Store, key_of, trial_request

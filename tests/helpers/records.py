@@ -1,7 +1,5 @@
 """Trajectories written by hand, so that tests of the record need no physics."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Conformance of trial runners: of the simulation, of recordings, of the real robot over fakes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

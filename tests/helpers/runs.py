@@ -1,7 +1,5 @@
 """A small sweep that is killed at some moment, and what must hold afterwards."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

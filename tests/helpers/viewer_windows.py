@@ -1,7 +1,5 @@
 """Rerun's viewer without a window, and what it shows."""
 
-from __future__ import annotations
-
 import base64
 import io
 import itertools

@@ -1,7 +1,5 @@
 """A finished sweep that the tests of runs and of results share: made once."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +10,7 @@ import pytest
 from tests.helpers.runs import resumed, small_scenario
 
 METHODS = """
+held_out = 1
 [methods.hidden_states]
 [methods.bare]
 method = "random_search"

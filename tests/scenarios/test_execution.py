@@ -1,7 +1,5 @@
 """Executors: values come back, failures come back as values, and workers are replaced."""
 
-from __future__ import annotations
-
 import errno
 import importlib
 import multiprocessing

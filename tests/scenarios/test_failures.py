@@ -1,7 +1,5 @@
 """Methods of others that fail: named with file, line and traceback, and tables and a report in any case."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

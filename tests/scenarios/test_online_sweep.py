@@ -1,7 +1,5 @@
 """Sweeps in which the measured wrenches decide each action: each draw of the sensor has trials of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runners of somebody else's: the documentation's own bench in a scenario, and what is said of others."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """Methods and policies of other packages: found without registration, refused by name, run on worker processes."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import sys

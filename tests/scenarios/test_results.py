@@ -1,9 +1,6 @@
 """Results folders: read as tables and trajectories, counted by `heft status`, planned by --dry-run."""
 
-from __future__ import annotations
-
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,22 +73,20 @@ def test_drawn_objects_are_files_that_a_user_can_take(swept):
     files = sorted(swept.glob("objects/*/*.toml"))
     assert [path.stem for path in files] == ["drawn_0", "drawn_1"]
     results = rows_of(load_results(swept))
-    from testbed.objects.files import load_object  # noqa: PLC0415
-
     for path in files:
         model = load_object(path)
         row = next(row for row in results if row["object"] == model.name)
         assert np.allclose(row["true_mass_kg"], model.group_mass)
 
 
-def test_trajectories_are_read_one_by_one(swept):
-    found = dict(load_trajectories(swept))
-    assert len(found) == 8
+def test_trajectories_are_read_one_by_one(finished):
+    found = dict(load_trajectories(finished.out))
+    assert len(found) == 4
     assert all(trajectory.ok for trajectory in found.values())
     with pytest.raises(InvalidValueError, match="trials/"):
-        list(load_trajectories(swept / "estimates"))
+        list(load_trajectories(finished.out / "estimates"))
     with pytest.raises(InvalidValueError, match=r"results\.parquet"):
-        load_results(swept / "trials")
+        load_results(finished.out / "trials")
 
 
 def said(show: object, *arguments: object) -> str:
@@ -101,37 +96,35 @@ def said(show: object, *arguments: object) -> str:
     return captured.get()
 
 
-def test_status_counts_what_is_there(swept, capsys, monkeypatch):
+def test_status_counts_what_is_there(copied, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    main(["status", str(swept)])
+    main(["status", str(copied)])
     text = capsys.readouterr().out
-    assert f"{swept}: finished" in text
-    assert "trials: 8 done, 0 failed" in text
-    assert re.search(r"estimates: 8 done( \([^)]*\))?, 0 failed", text)
-    Store(swept).put_error("0" * 20, "Traceback\nValueError: it broke\n")
-    main(["status", str(swept)])
+    assert f"{copied}: finished" in text
+    assert "trials: 4 done, 0 failed" in text
+    assert re.search(r"estimates: 9 done( \([^)]*\))?, 0 failed", text)
+    Store(copied).put_error("0" * 20, "Traceback\nValueError: it broke\n")
+    main(["status", str(copied)])
     again = capsys.readouterr().out
     assert "1 failed" in again
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
-        status(swept / "trials")
+        status(copied / "trials")
 
 
 def weighed(obj: ObjectModel) -> Trajectory:
     return Trajectory.of_scale(np.full(50, GRAVITY * obj.total_mass), np.arange(50) / 100, {})
 
 
-def test_status_counts_what_is_no_data_or_not_ok(swept, tmp_path, capsys):
-    folder = tmp_path / "run"
-    shutil.copytree(swept, folder)
-    trials, estimates = (sorted(folder.glob(name)) for name in ("trials/*/trial.json", "estimates/*/result.json"))
+def test_status_counts_what_is_no_data_or_not_ok(copied, capsys):
+    trials, estimates = (sorted(copied.glob(name)) for name in ("trials/*/trial.json", "estimates/*/result.json"))
     write_json(trials[0], (read_json(trials[0]) or {}) | {"status": "slipped"})
     for path in estimates:
         write_json(path, (read_json(path) or {}) | {"status": "ok"})
     write_json(estimates[0], (read_json(estimates[0]) or {}) | {"status": "no_data"})
-    main(["status", str(folder)])
+    main(["status", str(copied)])
     said = capsys.readouterr().out
-    assert "trials: 8 done (1 slipped), 0 failed; estimates: 8 done (1 no data), " in said
+    assert "trials: 4 done (1 slipped), 0 failed; estimates: 9 done (1 no data), " in said
 
 
 def test_an_answer_without_data_counts_the_trials_that_are_none():

@@ -1,9 +1,8 @@
 """Runs of a scenario: whatever happens to one, the same command goes on to the results of an undisturbed run."""
 
-from __future__ import annotations
-
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -172,15 +171,15 @@ def test_results_of_object_files_go_on_in_another_checkout(tmp_path):
         check_nothing_lost(tmp_path, asked.model_copy(update={"objects": ["L2", "/here/mallet.toml"]}))
 
 
-def test_results_of_an_object_whose_file_has_changed_are_not_written_over(tmp_path):
-    path = small_scenario(tmp_path, ("own_weight",))
+def test_results_of_an_object_whose_file_has_changed_are_not_written_over(finished, copied, tmp_path):
+    text = finished.scenario.read_text(encoding="utf-8").replace(str(finished.scenario.parent), str(tmp_path))
+    (path := tmp_path / "small.toml").write_text(text, encoding="utf-8")
+    mine = Path(shutil.copy(finished.scenario.with_name("pair.toml"), tmp_path))
     asked = load_scenario(str(path))[1]
-    resumed(path, tmp_path / "out")
-    check_nothing_lost(tmp_path / "out", asked.model_copy(update={"seeds": asked.seeds + 1}))
-    mine = tmp_path / "pair.toml"
+    check_nothing_lost(copied, asked.model_copy(update={"seeds": asked.seeds + 1}))
     mine.write_text(re.sub("mass_kg = .*", "mass_kg = 0.7", mine.read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(InvalidValueError, match=r"results of another run \(pair, whose file has changed\)"):
-        check_nothing_lost(tmp_path / "out", asked)
+        check_nothing_lost(copied, asked)
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Worlds in a scenario: every draw has its own trials, content keys tell worlds apart, and nothing is told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

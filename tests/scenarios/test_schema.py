@@ -1,7 +1,5 @@
 """Scenario files: random objects, swept axes, changed truths, and a thousand broken files."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random

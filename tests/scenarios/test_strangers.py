@@ -1,7 +1,5 @@
 """Folders and files of strangers: reading them runs no code, and nothing is read or written outside them."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A wrong weight, which no residual of friction shows, is told by the inertia of accelerated turns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

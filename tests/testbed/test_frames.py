@@ -1,7 +1,5 @@
 """Frames: moving a wrench is a group action, power does not depend on where or how it is written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,11 +1,16 @@
-"""Parsers of strangers' files end within their limits, and say why in a line."""
+"""Parsing of untrusted files in a limited process, errors in a line, and packages without extras."""
 
-from __future__ import annotations
-
+import os
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from estimators.baselines.dry_friction import LcpError
+from testbed.errors import InvalidValueError
+from testbed.packages import hidden_package
 from testbed.parsing import process
 from testbed.parsing.process import ParserError, parsed
 
@@ -74,3 +79,42 @@ def test_time_and_output_end(run, monkeypatch: pytest.MonkeyPatch):
 def test_a_package_that_is_missing_is_named(run):
     with pytest.raises(ImportError, match=r"^no_such_package$"):
         run("import no_such_package.inner")
+
+
+@pytest.mark.parametrize("kind", [InvalidValueError, LcpError])
+@pytest.mark.parametrize("file", [None, Path("a.toml")])
+def test_an_error_is_the_same_in_another_process(kind, file):
+    error = kind("mass_kg", [-1.0], "numbers > 0", file)
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is kind
+    assert str(again) == str(error)
+    assert (again.field, again.given, again.allowed, again.file) == ("mass_kg", [-1.0], "numbers > 0", file)
+
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def test_nothing_hides_heft_here():
+    assert hidden_package() is None
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        (["scenarios", "objects"], 2, "heft: {folder} hides heft's package estimators: rename it"),
+        (["pytest", "-p", "testbed.pytest_plugin", "test_mine.py"], 0, "1 passed"),
+        (["pytest", "-p", "testbed.pytest_plugin", "--estimator", "a:B"], 4, "--estimator: {folder} hides"),
+    ],
+    ids=["command", "own tests", "kit"],
+)
+def test_a_folder_that_hides_a_package_is_named(tmp_path: Path, command: list[str], code: int, said: str):
+    folder = tmp_path / "estimators"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (tmp_path / "test_mine.py").write_text("import estimators\n\n\ndef test_mine():\n    assert estimators\n")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stderr
+    assert said.format(folder=folder) in done.stdout + done.stderr

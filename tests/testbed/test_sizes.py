@@ -1,7 +1,5 @@
 """Files of absurd sizes: refused with the limit, before they take time or memory, in a message of a few lines."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Results that the tests of figures and recordings share: simulated once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Estimates and comparisons in Rerun: the logged values, entity by entity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures for papers: drawn values, units on every axis, and whole files."""
 
-from __future__ import annotations
-
 import re
 import resource
 import shutil

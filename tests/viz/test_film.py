@@ -1,7 +1,5 @@
 """Films: read back as drawn, in their time; a film that is cut leaves the file before it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import av

@@ -1,7 +1,5 @@
 """Report of a run: right numbers, harmless text, whole files."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

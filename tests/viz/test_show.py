@@ -1,7 +1,5 @@
 """`heft`: its public names, and `heft.show` of everything that it takes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trials in Rerun: the recording has the values of the trajectory."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

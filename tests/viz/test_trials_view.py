@@ -1,7 +1,5 @@
 """Pushes and objects in links as they are drawn: contact points, directions, links, hinges and joint angles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

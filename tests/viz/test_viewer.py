@@ -1,7 +1,5 @@
 """Rerun's viewer in a window and in a browser, and the reasons where it cannot open."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import re

@@ -1,22 +1,23 @@
-"""Planning: information that adds, designs that are the best there is, plans that end for a reason."""
-
-from __future__ import annotations
+"""Planning: candidates as a box, information that adds, the best designs, plans that end for a reason, training."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
+from estimators.action_selection.box import SIZE, ActionBox
 from estimators.action_selection.candidates import REACH, ActionFamily, clear_of_particles
 from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief, steady
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_plan
 from estimators.action_selection.plan import FeasibilityLog, Goal
 from estimators.action_selection.pushes import random_pushes
+from estimators.action_selection.trained import SHIPPED, TrainedIndex, TrainedPolicy
 from estimators.identifiability.information import (
     Assumptions,
     expected,
@@ -148,7 +149,7 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
 def test_a_plan_is_as_short_as_it_can_be(name, turns):
     model = load_object(name)
     turns_alone = ActionFamily(slides=False, accelerated=False)
-    policy = PlannedPolicy(guess(name), goal=Goal(until=0.03), candidates=1500, family=turns_alone)
+    policy = PlannedPolicy(guess(name), goal=Goal(until=0.03), candidates=600, family=turns_alone)
     plan = policy.plan(model.shape)
     assert [type(action) for action in plan.actions] == [Rotate] * turns
     report = expected(model.shape, model.truth, plan.actions, FT300S)
@@ -229,7 +230,7 @@ def test_plain_answers_where_little_can_be_had():
     assert not plan.steps and "nothing to grip" in plan.why
     short = PlannedPolicy(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
     assert not short.steps and "the budget is spent: 5 s are left" in short.why
-    rigid = PlannedPolicy(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=300).plan(shape)
+    rigid = PlannedPolicy(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=100).plan(shape)
     assert rigid.why == "no action teaches more" and rigid.after.expected_nad > 0.1
     never = PlannedPolicy(guess("L2"), candidates=100, feasible=lambda _: "no").plan(shape)
     assert not never.steps and "the bench can do none" in never.why
@@ -277,8 +278,8 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
 def test_pushes_are_drawn_where_asked_for_or_where_nothing_else_is_left():
     shape, beside = load_object("L2").shape, ActionFamily(pushes=True)
     ungripped = replace(shape, grasps=())
-    assert not any(isinstance(action, Push) for action in ActionFamily().sample(shape, [0, 1], 400, 0))
-    kinds = [isinstance(action, Push) for action in beside.sample(shape, [0, 1], 400, 0)]
+    assert not any(isinstance(action, Push) for action in ActionFamily().sample(shape, [0, 1], 200, 0))
+    kinds = [isinstance(action, Push) for action in beside.sample(shape, [0, 1], 200, 0)]
     assert 0 < sum(kinds) < len(kinds) / 10
     for drawn in (beside.sample(shape, [], 30, 0), ActionFamily().sample(ungripped, [], 30, 0)):
         assert len(drawn) == 30 and all(isinstance(action, Push) for action in drawn)
@@ -296,3 +297,120 @@ def test_robot_time_is_that_of_the_simulated_bench():
     for action in (*moves, *pushes, Lift(4), Lift(4, tilt=0.0, hold=1.7)):
         samples = len(plan_motion(action, shape, settings).q)
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
+
+
+F2 = load_object("F2").shape
+BOX_GRASPS = (0, 2, 3)
+
+
+def box(**family: object) -> ActionBox:
+    return ActionBox(F2, BOX_GRASPS, ActionFamily(**family))  # pyright: ignore[reportArgumentType]
+
+
+def test_every_candidate_of_a_family_is_a_point_within_its_limits():
+    whole = box()
+    drawn = whole.family.sample(F2, BOX_GRASPS, 120, 0)
+    assert {type(action) for action in drawn} == set(whole.kinds)
+    for action in drawn:
+        again = whole.action(whole.point(action).astype(np.float32))
+        assert whole.refusal(action) == ""
+        assert (type(again), again.grasp) == (type(action), action.grasp)
+        assert again.seconds == pytest.approx(action.seconds)
+        if isinstance(action, Rotate) and isinstance(again, Rotate):
+            assert again.pivot == action.pivot
+            assert again.speed == pytest.approx(action.speed, abs=5.1e-5)
+        elif isinstance(action, Slide) and isinstance(again, Slide):
+            assert again.direction == pytest.approx(action.direction, abs=5.1e-5)
+        else:
+            assert again == action
+        assert whole.action(whole.point(again).astype(np.float32)) == again  # rounded once, for good
+
+
+def test_every_point_is_an_action_of_the_family():
+    whole, rng = box(), np.random.default_rng(0)
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * SIZE)).reshape(SIZE, -1).T
+    for point in [*corners, *rng.uniform(-1, 1, (200, SIZE)), np.full(SIZE, 7.0)]:
+        action = whole.action(point)
+        assert action.grasp in BOX_GRASPS
+        if isinstance(action, Rotate):
+            low, high = whole.family.duration
+            assert low <= action.duration <= high
+            assert 6 - 0.01 <= abs(np.degrees(action.speed)) <= 12 + 0.01
+            arm = np.linalg.norm(action.center(F2) - F2.grasps[action.grasp].position)
+            assert arm <= whole.family.arm + 1e-4
+
+
+def test_a_family_without_slides_has_none():
+    assert box(slides=False).kinds == (Rotate, Accelerate)
+    assert box(slides=False, accelerated=False).kinds == (Rotate,)
+
+
+@pytest.mark.parametrize(
+    ("action", "why"),
+    [
+        (Rotate(0, pivot=tuple(F2.particles[0]), back=True), "particle"),  # pyright: ignore[reportArgumentType]
+        (Rotate(0, speed=0.2, pivot=(0.19, 0.003), back=True), "reach"),
+        (Slide(0, duration=40.0), "table"),
+    ],
+)
+def test_what_the_family_would_not_draw_is_refused(action, why):
+    assert why in box().refusal(action)
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: box().action(np.zeros(3)), "action"),
+        (lambda: box().action(np.full(SIZE, np.nan)), "action"),
+        (lambda: box().point(Lift(0)), "action"),
+        (lambda: box().point(Rotate(1)), "action"),
+        (lambda: box(slides=False).point(Slide(0)), "action"),
+        (lambda: box(pushes=True), "ActionBox.family"),
+        (lambda: ActionBox(F2, ()), "ActionBox.grasps"),
+    ],
+)
+def test_what_is_no_action_of_the_box_is_named(call, field):
+    with pytest.raises(InvalidValueError) as error:
+        call()
+    assert error.value.field == field
+
+
+LONG = ((0.0,) * 3, (0.0,) * 3, (5.0, 0.0, 0.0))
+"""Weights that prefer long actions."""
+
+
+@pytest.fixture(scope="module")
+def plans():
+    model = load_object("I1")
+    shape, guess = model.shape, Guess(model.total_mass, preset("ft300s"))
+    design = Design.of(shape, ActionFamily().sample(shape, range(len(shape.grasps)), 30, 0), guess)
+
+    def plan(*index):
+        return greedy_plan(design, prior_belief(shape, guess), Goal(budget_s=60.0), FeasibilityLog(), *index)
+
+    return plan
+
+
+def test_zero_weights_are_greedy_and_weights_of_time_change_it(plans):
+    assert plans(TrainedIndex()).actions == plans().actions
+    first, other = plans(TrainedIndex(LONG)).steps[0], plans().steps[0]
+    assert first.seconds > other.seconds
+
+
+def test_a_file_of_weights_is_the_same_again(tmp_path: Path):
+    TrainedIndex(LONG, 60.0).save(tmp_path / "w.json", objects=3)
+    assert TrainedIndex.load(tmp_path / "w.json") == TrainedIndex(LONG, 60.0)
+    policy = TrainedPolicy(1.0, (0, 1), file=str(tmp_path / "w.json"), most=2, candidates=40).policy
+    assert (policy.goal, policy.index) == (Goal(budget_s=60.0, most=2), TrainedIndex(LONG, 60.0))
+
+
+def test_the_shipped_weights_are_not_greedys():
+    assert TrainedIndex.load(SHIPPED).weights != TrainedIndex().weights
+
+
+@pytest.mark.parametrize("text", [None, "{", '{"weights": [[1, 2]], "budget_s": 3}', '{"budget_s": 3}', "[1]"])
+def test_another_file_is_refused(text: str | None, tmp_path: Path):
+    if text is not None:
+        (tmp_path / "w.json").write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidValueError):
+        TrainedIndex.load(tmp_path / "w.json")

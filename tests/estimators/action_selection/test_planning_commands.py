@@ -1,7 +1,5 @@
 """`heft plan` and `heft touch`: what they print, write and refuse."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The next touch from what was felt, in a world of exact friction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

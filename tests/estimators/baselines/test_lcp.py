@@ -1,7 +1,5 @@
 """The complementarity time step: against textbook solvers, the axioms of dry friction, and its gradients."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import cast

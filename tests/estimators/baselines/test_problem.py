@@ -1,7 +1,5 @@
 """Eq. problem on steady windows: predicted wrench, loss and gradient, against plain numpy and the dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -25,9 +23,9 @@ from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of, one_
 from estimators.wrench.support import own_weight
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
+from tests.helpers.blocks import blocks
 
 CARRIED = {"lift": 0.4, "moment": (0.004, -0.003)}
 ROUNDING = 1e-12
@@ -41,17 +39,8 @@ OBJECT = drawn_object(0)
 def cut(grid: int, friction_groups: int = 1) -> ObjectModel:
     """Five blocks of drawn masses, cut `grid` x `grid`."""
     rng = np.random.default_rng(grid)
-    cells = parse_layout(["101", "111"])
-    return block_object(
-        "cut",
-        cells,
-        size=0.05,
-        height=0.03,
-        mass=rng.uniform(0.05, 0.6, len(cells)).tolist(),
-        friction=rng.uniform(0.2, 0.8, friction_groups).tolist(),
-        friction_group=[i % friction_groups for i in range(len(cells))],
-        grid=grid,
-    )
+    mass, friction = rng.uniform(0.05, 0.6, 5).tolist(), rng.uniform(0.2, 0.8, friction_groups).tolist()
+    return blocks(["101", "111"], mass, friction, [i % friction_groups for i in range(5)], grid=grid)
 
 
 def problem_of(obj: ObjectModel, trajectories: list[Trajectory], pivot_error: float = 0.0) -> Problem:

@@ -1,7 +1,5 @@
 """Means, intervals and marks of the comparison; tables and the heatmap made of them."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

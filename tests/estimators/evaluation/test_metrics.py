@@ -1,7 +1,5 @@
 """NAD as the paper defines it, and MPD against first-order theory and another integrator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

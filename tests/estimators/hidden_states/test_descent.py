@@ -1,7 +1,5 @@
 """Descent with several optimizers side by side, on functions whose minimum is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Algorithm 1 as printed, against the paper's equations written out particle by particle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -25,7 +23,6 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from estimators.wrench.model import EXACT, Inertia
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from tests.helpers.answers import ask, found, nad
@@ -196,18 +193,3 @@ def test_too_little_is_a_status_and_no_number(trials, status):
     answer = ask(L2, trials, METHOD)
     assert (answer.status, answer.distribution) == (status, None)
     assert answer.message
-
-
-@pytest.mark.parametrize("weight", [None, 0.0, float("nan")])
-def test_no_weight_is_refused(weight):
-    with pytest.raises(InvalidValueError, match=r"^weight:"):
-        METHOD.estimate(L2.shape, weight, turns(L2), 0)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("optimizers", ()), ("solver", "exact"), ("steps", 0), ("learning_rate", 0.0), ("gripper_load", 1)],
-)
-def test_wrong_settings_are_refused_by_name(field, value):
-    with pytest.raises(InvalidValueError, match=rf"^\w+\.{field}:"):
-        PublishedHiddenStates(**{field: value})

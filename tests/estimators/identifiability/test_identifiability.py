@@ -1,13 +1,18 @@
-"""Identifiability: open directions by name, the bound against the scatter, infinity where nothing is seen."""
-
-from __future__ import annotations
+"""Identifiability: ranks, open directions and standard errors of actions, `heft identify`, and trailing links."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from estimators.action_selection.candidates import MOST_DRAGS, ActionFamily
+from estimators.action_selection.design import Guess
+from estimators.action_selection.drags import random_drags
+from estimators.action_selection.greedy import PlannedPolicy
+from estimators.action_selection.online import OnlinePolicy
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import random_pushes
 from estimators.action_selection.rank import between_particles
 from estimators.hidden_states.estimator import HiddenStates
@@ -19,12 +24,18 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.identifiability.report import identifiability
+from estimators.identifiability.trailing import trailing_motions
 from estimators.particles import friction_system
+from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
-from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.testing.analytic_world import accelerated, drawn_object, own_weight_loads, turns
 from estimators.wrench.weighing import Weighing
+from scenarios.cli.main import main
+from scenarios.cli.plan import actions_of
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
+from testbed.actions.lift import Lift
+from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -33,8 +44,10 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import Sensing, preset
+from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
+from viz.figures.maps import error_figure
 
 NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")
 
@@ -233,3 +246,216 @@ def test_pushes_and_turns_add_up():
     for index, action in enumerate(actions):
         alone = predicted_information(obj.shape, obj.truth, [action], preset("ft300s"), where)
         assert_allclose(alone.information(), together.information([index]), rtol=1e-6, atol=1e-9)
+
+
+def test_the_plan_is_the_policys():
+    actions = actions_of(load_object("L2"), slides=3, duration=9.0)
+    kinds = [type(action) for action in actions]
+    assert [kinds.count(kind) for kind in (Weigh, Accelerate, Rotate, Slide)] == [1, 6, 6, 3]
+    assert all(a.back and a.duration == 9.0 for a in actions if isinstance(a, Rotate))
+    directions = [a.direction for a in actions if isinstance(a, Slide)]
+    assert len(set(directions)) == 3
+
+
+def test_only_the_grasps_that_are_named_are_used():
+    model = load_object("L2")
+    name = model.shape.grasps[1].name
+    actions = actions_of(model, grasps=(name,))
+    assert {a.grasp for a in actions if a.moves} == {1}
+    with pytest.raises(InvalidValueError, match="grasps of L2: "):
+        actions_of(model, grasps=("nose",))
+
+
+LINKS = "scenarios/library/objects/fold_2.toml"
+
+
+def test_links_are_slid_and_turned_and_their_hinges_told(capsys):
+    actions = actions_of(load_object(LINKS), pivots=2, slides=3)
+    assert [type(action) for action in actions] == [Weigh, Rotate, Rotate, Slide, Slide, Slide]
+    with pytest.raises(InvalidValueError, match="no pushes of an object with hinges"):
+        actions_of(load_object(LINKS), pushes=2)
+    main(["identify", LINKS, "--pivots", "2", "--slides", "2"])
+    assert "friction of hinges: standard error" in " ".join(capsys.readouterr().out.split())
+
+
+def test_pushes_are_the_published_ones():
+    model = load_object("L2")
+    assert actions_of(model, pivots=0, pushes=5)[1:] == random_pushes(model.shape, 5, 0)
+    with pytest.raises(InvalidValueError, match="pushes"):
+        actions_of(model, pushes=-1)
+
+
+def test_lifts_are_of_inner_grasps_and_of_rigid_bodies_alone():
+    model = load_object("I2")
+    actions = actions_of(model, support="rigid", lifts=3)
+    assert [a.grasp for a in actions if isinstance(a, Lift)] == [2, 3, 1]
+    for support, lifts in (("rigid", -1), ("own_weight", 1)):
+        with pytest.raises(InvalidValueError, match="lifts"):
+            actions_of(model, support, lifts=lifts)
+
+
+def test_a_lift_shows_two_more_of_an_f_and_leaves_one_way_open(capsys):
+    main(["identify", "F2", "--assumed-support", "rigid", "--lifts", "1"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "6 of 7 masses and frictions are observed" in said
+
+
+def test_it_says_what_is_seen(capsys):
+    main(["identify", "L2"])
+    said = capsys.readouterr().out
+    assert "L2, own_weight, ft300s: 1 weigh, 6 accelerate, 6 rotate" in said
+    assert "all 7 masses and frictions are observed" in said
+    main(["identify", "F2", "--assumed-support", "rigid"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the combination A1 - B1 - A3 + B3" in said
+    assert said.count("not observed") == 12
+
+
+def test_a_group_without_mass_is_seen_but_has_no_part_of_it(tmp_path, capsys):
+    blocks = '[blocks]\nlayout = ["11"]\nmass_kg = [0.3, 0.0]\nfriction = 0.35\n'
+    (tmp_path / "hollow.toml").write_text('name = "hollow"\n' + blocks, encoding="utf-8")
+    main(["identify", str(tmp_path / "hollow.toml")])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "0.000" in line]
+    *_, error, part, _ = (cell.strip() for cell in line.split("│"))
+    assert float(error) > 0 and part == "-"
+
+
+def test_a_weighing_alone_shows_one_direction(capsys):
+    main(["identify", "I1", "--pivots", "0"])
+    assert "1 of 7 masses and frictions are observed" in capsys.readouterr().out
+
+
+def test_a_sensor_that_is_not_there_is_refused(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["identify", "L2", "--sensing", "nose"])
+    assert end.value.code == 2
+    assert "one of ideal, ft300s" in capsys.readouterr().err
+
+
+def test_the_heatmap_shows_the_standard_errors_of_the_table(tmp_path, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("viz.figures.maps.save_figure", lambda figure, _: drawn.append(figure) or [])
+    main(["identify", "L2", "--out", str(tmp_path / "errors")])
+    said = capsys.readouterr().out
+    assert "standard error, g" in said and drawn[0].axes[1].get_xlabel() == "standard error, g"
+    rows = [line.split("│") for line in said.splitlines() if line.startswith("│")]
+    printed = [float(row[3]) for row in rows if row[3].strip()]
+    assert [float(text.get_text()) for text in drawn[0].axes[0].texts] == pytest.approx(printed, abs=0.006)
+
+
+def test_the_heatmap_is_written_whole(tmp_path, capsys):
+    main(["identify", "L2", "--out", str(tmp_path / "errors")])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.pdf", "errors.png"]
+    assert "errors.png" in capsys.readouterr().out
+
+
+def test_what_is_not_seen_is_hatched_and_said():
+    model = load_object("L2")
+    figure = error_figure(model, np.array([0.01, np.inf, 0.02, 0.03, 0.01, 0.01]), "some trials")
+    axis, bar = figure.axes
+    assert [text.get_text() for text in axis.texts] == ["10.0", "not observed", "20.0", "30.0", "10.0", "10.0"]
+    assert "standard error" in bar.get_xlabel()
+    hatched = [patches for patches in axis.collections if patches.get_hatch()]
+    assert len(hatched) == 1 and len(hatched[0].get_paths()) == 9
+    assert len(error_figure(model, np.full(6, np.inf), "nothing").axes) == 1
+
+
+slow = pytest.mark.slow
+IDEAL = preset("ideal")
+CHAIN = drawn_chain(1)
+DRAGS = (
+    Slide(1, -2.6, duration=3.0),
+    Rotate(2, np.radians(-10), 4.0, (0.04, 0.02)),
+    Rotate(1, np.radians(10), 4.0, (-0.03, -0.02)),
+)
+
+
+@cache
+def record_of(action: Rotate | Slide) -> Trajectory:
+    return analytic_links(CHAIN, action)
+
+
+def friction_of(obj: ObjectModel) -> np.ndarray:
+    return obj.truth.friction[obj.shape.friction_group] * own_weight_loads(obj)
+
+
+def turned_off(action: Rotate | Slide, step: float) -> float:
+    """Greatest difference of a link's yaw from that of exact mechanics, once both are past their start, rad."""
+    (motion,) = trailing_motions(
+        CHAIN.shape, CHAIN.particle_mass, friction_of(CHAIN), [action], step, list(CHAIN.hinge_friction)
+    )
+    record = record_of(action)  # which moves at full speed at once
+    assert record.camera is not None
+    time = np.arange(1, len(motion.turned) + 1) * step - RAMP_TIME / 2
+    kept = (time > 1.0) & (time < record.time_s[-1])
+    assert kept.sum() > 1 / step
+    yaw = record.camera.poses[:, :, 2] - record.camera.poses[0, :, 2]
+    exact = np.stack([np.interp(time[kept], record.time_s, each) for each in yaw.T], 1)
+    return float(np.abs(motion.turned[kept, :, 0] - exact).max())
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        pytest.param(DRAGS[0], id="slide"),
+        pytest.param(DRAGS[1], id="turn right", marks=slow),
+        pytest.param(DRAGS[2], id="turn left", marks=slow),
+    ],
+)
+def test_links_trail_as_exact_mechanics_have_it(action: Rotate | Slide):
+    # a slide that starts at once throws the links by its jerk
+    assert turned_off(action, 0.04) < (0.03 if isinstance(action, Slide) else 0.003)
+
+
+@slow
+def test_trials_show_what_is_expected_of_them():
+    trials = [record_of(action) for action in DRAGS]
+    assumptions = Assumptions(hinge_friction=CHAIN.hinge_friction)
+    before = expected(CHAIN.shape, CHAIN.truth, DRAGS, IDEAL, assumptions)
+    after = observed(CHAIN.shape, CHAIN.truth, trials)
+    assert before.rank == after.rank == before.unknowns
+    assert_allclose(before.standard_error, after.standard_error, rtol=0.25)
+    assert_allclose(before.hinge_error, after.hinge_error, rtol=0.25)
+
+
+def test_more_drags_leave_less_open():
+    drags = random_drags(CHAIN.shape, range(len(CHAIN.shape.grasps)), 6, 0)
+    reports = [expected(CHAIN.shape, CHAIN.truth, drags[:count], IDEAL) for count in (1, 3, 6)]
+    assert [r.rank for r in reports] == sorted(r.rank for r in reports)
+    errors = np.array([report.hinge_error for report in reports])
+    assert (np.diff(errors, axis=0) <= 1e-12).all() and (errors > 0).all()
+
+
+def test_candidates_of_links_are_slides_and_turns_one_way():
+    family = ActionFamily(lifts=True, pushes=True)
+    found = family.sample(CHAIN.shape, range(len(CHAIN.shape.grasps)), 4000, 0)
+    assert 0.9 * MOST_DRAGS < len(found) <= MOST_DRAGS
+    assert all(isinstance(each, Slide) or (isinstance(each, Rotate) and not each.back) for each in found)
+
+
+@slow
+def test_a_plan_teaches_more_than_random_drags():
+    grasps = tuple(range(len(CHAIN.shape.grasps)))
+    guess = Guess(CHAIN.total_mass, preset("ft300s"))
+    policy = PlannedPolicy(guess, goal=Goal(most=4), candidates=100, grasps=grasps)
+    planned: list[Rotate | Slide] = []
+    trials: list[Trajectory] = []
+    while (action := policy.next(CHAIN.shape, trials)) is not None:
+        assert isinstance(action, (Rotate, Slide))
+        planned.append(action)
+        trials.append(analytic_links(CHAIN, action))
+    assumptions = Assumptions(hinge_friction=CHAIN.hinge_friction)
+    drawn = random_drags(CHAIN.shape, grasps, 4, 0)
+    by_plan, by_chance = (
+        expected(CHAIN.shape, CHAIN.truth, each, preset("ft300s"), assumptions) for each in (planned, drawn)
+    )
+    assert by_plan.standard_error.mean() < by_chance.standard_error.mean()
+
+
+@slow
+def test_the_next_touch_counts_on_hinges_as_they_were_estimated():
+    guess = Guess(CHAIN.total_mass, IDEAL)
+    policy = OnlinePolicy(guess, goal=Goal(most=6), candidates=40)
+    decision = policy.decide(CHAIN.shape, [record_of(action) for action in DRAGS[:2]])
+    assert decision.estimate is not None and decision.estimate.status == "ok"
+    assert isinstance(decision.action, (Slide, Rotate))

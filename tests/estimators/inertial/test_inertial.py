@@ -1,8 +1,8 @@
-"""Inertial parameters of a held body: the wrench of point masses, recoveries, and intervals that hold."""
+"""Bodies in the air: equations of lifts, inertial parameters, and the payload of an arm."""
 
-from __future__ import annotations
-
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,18 +12,37 @@ from scipy.spatial.transform import Rotation
 from estimators.inertial import (
     Ellipsoid,
     HeldMotion,
-    InertialParameters,
+    column_parts,
     consistent_inertia,
+    ellipsoid_of,
     homogeneous_parts,
     inertial_equations,
     joined,
     least_squares_inertia,
+    lift_equations,
+    part_ranges,
+    places_of,
     pseudo_inertia,
+    solid_parts,
+    true_body,
 )
-from estimators.inertial.body import shift_map
+from estimators.inertial.body import InertialParameters, shift_map
+from estimators.inertial.payload import Payload, as_franka, as_json, as_kortex, as_ur
+from scenarios.cli.main import main
+from testbed.actions.lift import Lift
 from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY
+from testbed.frames import rotation_matrix, rotation_z
+from testbed.objects.files import load_object
+from testbed.objects.model import GRAVITY, Solid
+from testbed.robot.calibration.file import save_calibration
+from testbed.robot.calibration.static_poses import Calibration
+from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
+from testbed.simulation.runner import SimulationRunner
+from testbed.trajectory import Phase, Trajectory
+from testbed.trial import RIGID, Trial
+from tests.fakes.lifted_world import lifted
+from tests.helpers.blocks import blocks
 
 FT300S, IDEAL = preset("ft300s"), preset("ideal")
 DT = 0.01
@@ -164,3 +183,165 @@ def test_parts_that_still_poses_cannot_tell_apart_are_refused():
         homogeneous_parts(still, [*parts, *body(seed=5)[0]])
     with pytest.raises(InvalidValueError, match="parts"):
         homogeneous_parts(still, [])
+
+
+OBJECT = blocks(["10", "11"], [0.5, 0.1, 0.3])
+SHORT = Lift(0, hold=1.4)
+
+
+def test_without_noise_every_method_finds_the_truth_from_a_lift():
+    shape, truth = OBJECT.shape, true_body(OBJECT)
+    lifts = [lifted(OBJECT, SHORT), lifted(OBJECT, Lift(1, hold=1.4))]
+    for trials in (lifts[:1], lifts):
+        equations = lift_equations(shape, trials)
+        assert equations.rank == 10 and equations.misfit < 1e-9
+        by_parts = homogeneous_parts(equations, column_parts(shape))
+        bounded = consistent_inertia(equations, ellipsoid_of(shape))
+        for found in (least_squares_inertia(equations), bounded, by_parts):
+            assert_allclose(found.parameters.vector, truth.vector, atol=1e-8)
+        assert by_parts.part_mass is not None
+        assert_allclose(by_parts.part_mass, OBJECT.group_mass, atol=1e-8)
+        least, most = part_ranges(equations, *places_of(shape)).T
+        assert (least < OBJECT.group_mass).all() and (most > OBJECT.group_mass).all()
+
+
+def test_columns_weigh_and_turn_as_the_object_does():
+    truth = true_body(OBJECT)
+    assert truth.mass == pytest.approx(OBJECT.total_mass)
+    assert_allclose(truth.center_of_mass[:2], OBJECT.center_of_mass, atol=1e-12)
+    assert truth.inertia[2, 2] == pytest.approx(OBJECT.inertia_cm)
+
+
+def test_a_solid_turns_as_its_box():
+    corners = np.array([[x, y, z] for x in (0.1, 0.3) for y in (0.0, 0.05) for z in (0.0, 0.02)])
+    squares = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in squares for face in ((a, b, c), (a, c, d))]
+    (found,) = solid_parts([Solid(corners, np.array(faces), 0.7)])
+    sides = np.array([0.2, 0.05, 0.02]) ** 2
+    assert_allclose(found.center_of_mass, [0.2, 0.025, 0.01], atol=1e-12)
+    assert_allclose(found.inertia, 0.7 / 12 * np.diag(sides.sum() - sides), atol=1e-12)
+
+
+def test_a_trial_without_lifts_is_refused():
+    with pytest.raises(InvalidValueError, match="no lift"):
+        lift_equations(OBJECT.shape, [])
+
+
+@pytest.mark.slow
+def test_nine_in_ten_intervals_hold_from_lifts():
+    """Bias, noise and an offset in the grip, drawn as told."""
+    rng, truth, hold, inside = np.random.default_rng(0), true_body(OBJECT), [], []
+
+    def numbers(of: InertialParameters) -> np.ndarray:
+        return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
+
+    for seed in range(20):
+        offset = rng.standard_normal(3) * [5e-4, 5e-4, 1e-3]
+        trial = lifted(OBJECT, SHORT, offset=(offset[0], offset[1], offset[2]), errors=1.0, seed=seed)
+        equations = lift_equations(OBJECT.shape, [trial])
+        low, high = least_squares_inertia(equations).interval(numbers)
+        hold.append((low <= numbers(truth)) & (numbers(truth) <= high))
+        least, most = part_ranges(equations, *places_of(OBJECT.shape)).T
+        inside.append((least <= OBJECT.group_mass) & (OBJECT.group_mass <= most))
+    assert 0.82 < np.mean(hold) < 0.98
+    assert np.mean(inside) > 0.9
+
+
+L2 = load_object("L2")
+CALIBRATION = Calibration(
+    sign=1,
+    sensor_in_hand=np.array([1.0, 0.0, 0.0, 0.0]),
+    sensor_in_hand_std=np.full(3, 1e-3),
+    bias=np.zeros(6),
+    bias_std=np.full(6, 0.1),
+    mass=1.2,
+    mass_std=0.01,
+    com=np.array([0.0, 0.01, 0.06]),
+    com_std=np.array([0.001, 0.001, 0.002]),
+    misfit=1.0,
+    poses=12,
+)
+
+
+@pytest.fixture(scope="module")
+def lift() -> Trajectory:
+    """A lift of L2 as one rigid body, with a perfect sensor."""
+    with SimulationRunner(secret="payload") as simulation:
+        clean = simulation.run(Trial(L2, Lift(2), support=RIGID, sensing="ideal"))
+    return draw_sensing(clean, preset("ideal"), 0)
+
+
+def in_sensor(trajectory: Trajectory) -> InertialParameters:
+    """True body in the sensor's frame, from the poses as the object lies flat in the hand."""
+    flat = np.flatnonzero(trajectory.mask(Phase.SETTLE))[-1]
+    axes = rotation_matrix(trajectory.sensor_orientation)[flat].T @ rotation_z(float(trajectory.object_pose[flat, 2]))
+    assert trajectory.tool is not None
+    lies = np.append(trajectory.object_pose[flat, :2], 0.0)
+    lever = rotation_matrix(trajectory.sensor_orientation)[flat].T @ (lies - trajectory.tcp_position[flat])
+    corner = lever + trajectory.tool.tcp
+    return true_body(L2).moved(axes.T, -axes.T @ corner)
+
+
+def test_a_lift_gives_the_object_in_the_sensors_frame(lift):
+    found, true = Payload.of_lifts(L2.shape, [lift]), in_sensor(lift)
+    assert found.parameters.mass == pytest.approx(true.mass, rel=2e-3)
+    off = found.parameters.center_of_mass - true.center_of_mass
+    assert np.allclose(off[:2], 0, atol=3e-4)
+    assert 0 < off[2] < lift.figures["slip_m"] + 3e-4, "the object creeps down between the pads"
+    assert np.allclose(found.parameters.inertia, true.inertia, atol=0.1 * true.inertia.max())
+    low, high = found.interval("mass")
+    assert low <= true.mass <= high and high - low < 0.05 * true.mass
+    assert found.parameters.consistent and found.undetermined == []
+
+
+def test_the_tool_is_added(lift):
+    alone, both = (Payload.of_lifts(L2.shape, [lift], with_tool=added).parameters for added in (False, True))
+    assert lift.tool is not None
+    assert both.mass == pytest.approx(alone.mass + lift.tool.mass)
+    moment = alone.mass * alone.center_of_mass + lift.tool.mass * lift.tool.com
+    assert np.allclose(both.center_of_mass, moment / both.mass)
+    assert both.consistent
+
+
+def test_a_flange_beside_the_sensor():
+    body = InertialParameters(2.0, np.array([0.1, 0.0, 0.05]), np.diag([1e-3, 2e-3, 2.5e-3]))
+    turned = Payload(body, (body,)).on_flange(rotation_z(np.pi / 2), np.array([0.0, 0.0, 0.02]))
+    assert np.allclose(turned.parameters.center_of_mass, [0.0, 0.1, 0.07])
+    assert np.allclose(turned.parameters.inertia, np.diag([2e-3, 1e-3, 2.5e-3]))
+    assert np.allclose(turned.interval("center_of_mass"), turned.parameters.center_of_mass)
+
+
+def test_forms_of_controllers():
+    inertia = np.array([[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]) * 1e-3
+    body = InertialParameters(1.5, np.array([0.01, 0.02, 0.03]), inertia)
+    payload = Payload(body, (body,))
+    assert as_ur(payload) == (
+        "set_target_payload(1.5, [0.01, 0.02, 0.03], [0.004, 0.005, 0.006, 0.0001, 0.0002, 0.0003])\n"
+    )
+    assert json.loads(as_franka(payload)) == {
+        "mass": 1.5,
+        "center_of_mass": [0.01, 0.02, 0.03],
+        "load_inertia": pytest.approx(inertia.flatten(order="F")),
+    }
+    assert json.loads(as_kortex(payload)) == {"tool_mass": 1.5, "tool_mass_center": {"x": 0.01, "y": 0.02, "z": 0.03}}
+    assert json.loads(as_json(payload))["inertia_90_kg_m2"] == [inertia.tolist()] * 2
+
+
+def test_a_calibration_shows_no_inertia(tmp_path: Path, capsys):
+    save_calibration(tmp_path / "c.toml", CALIBRATION, "7", "today")
+    main(["payload", str(tmp_path / "c.toml"), "--format", "json", "--out", str(tmp_path / "p.json")])
+    said = capsys.readouterr().out
+    assert said.startswith("mass 1.2000 kg [1.18") and "not determined: Ixx, Iyy, Izz" in said
+    written = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
+    assert written["inertia_kg_m2"] == [[None] * 3] * 3
+    assert written["center_of_mass_m"] == [0.0, 0.01, 0.06]
+    main(["payload", str(tmp_path / "c.toml"), "--format", "ur", "--flange", "0", "0", "0.0127", "0"])
+    assert "set_target_payload(1.2, [0, 0.01, 0.0727])\n" in capsys.readouterr().out
+
+
+def test_what_has_no_payload_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidValueError, match="one or more lifts that ended well"):
+        Payload.of_lifts(L2.shape, [])
+    (tmp_path / "trials").mkdir()
+    with pytest.raises(SystemExit):
+        main(["payload", str(tmp_path)])

@@ -1,7 +1,5 @@
 """The learned posterior after a small training: its loss, draws, symmetries, and what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Questions to the learned posterior: their symmetries and files; and its settings."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -93,9 +91,3 @@ def test_without_a_checkpoint_the_error_names_the_command(tmp_path):
         with pytest.raises(InvalidValueError, match=r"Learned\.checkpoint.*none\.pt.*heft learn"):
             call()
     assert code_of("learned", missing) == {"file": ""}
-
-
-@pytest.mark.parametrize("wrong", [{"checkpoint": 3}, {"draws": 2}])
-def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(InvalidValueError, match=rf"Learned\.{next(iter(wrong))}"):
-        Learned(**wrong)

@@ -1,7 +1,5 @@
 """Masses from lifts, against a world of Newton's law alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

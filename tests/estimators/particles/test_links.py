@@ -1,4 +1,4 @@
-"""Tests of articulated objects: kinematics of chains, rows of hinges, recovery, and who takes them."""
+"""Articulated objects: kinematics of chains, rows of hinges, recovery, lead of a bench, and who takes them."""
 
 from dataclasses import replace
 from functools import cache
@@ -15,42 +15,38 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import by_row
+from estimators.particles.setup_effects import LinearRows, by_row
 from estimators.particles.windows import Observations
+from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.wrench.model import EXACT, ModelErrors
+from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from estimators.wrench.support import own_weight_loads
+from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import rotation_2d
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.chain import Chain
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import CAMERAS, draw_camera
+from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
-from testbed.worlds.setup_errors import SetupErrors
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from tests.helpers.blocks import blocks
 
 slow = pytest.mark.slow
 
 
 def bar(links: list[int], masses: list[float], torques: list[float]) -> ObjectModel:
     """A bar of 30 mm blocks, so many in each link."""
-    made = block_object(
-        "bar",
-        parse_layout(["1" * sum(links)]),
-        size=0.03,
-        height=0.02,
-        mass=masses,
-        friction=[0.4],
-        friction_group=[0] * sum(links),
-        grid=3,
-    )
+    made = blocks(["1" * sum(links)], masses, 0.4, size=0.03, height=0.02)
     at = (np.cumsum(links)[:-1] - sum(links) / 2) * 0.03
     chain = Chain(np.repeat(np.arange(len(links)), links), np.column_stack([at, np.zeros(len(at))]))
     return replace(made, shape=replace(made.shape, chain=chain), hinge_friction=tuple(torques))
@@ -250,3 +246,49 @@ def test_simulated_links_are_recovered(obj: ObjectModel):
     assert_allclose(hinges, obj.hinge_friction, atol=0.02 * max(obj.hinge_friction))
     windows = observe(obj.shape, trials)
     assert windows is not None and windows.articulated
+
+
+I2 = load_object("I2")
+
+
+@pytest.fixture(scope="module")
+def windows():
+    records = [SimulationRunner().run_clean(Trial(I2, Accelerate(grasp))) for grasp in (0, 1, 4)]
+    found = observe(I2.shape, [draw_sensing(record, preset("ideal"), 0) for record in records])
+    assert found is not None
+    return found
+
+
+def missing(windows):
+    """Planar forces that the true masses and frictions leave, N."""
+    model = ParticleModel.of(I2.shape)
+    loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
+    wrenches = WrenchModel.of(model, windows, loads, ModelErrors.pivot_error)
+    truth = torch.tensor(I2.truth.mass), torch.tensor(I2.truth.friction)
+    return (windows.wrench - wrenches.wrench(*truth))[:, :2]
+
+
+def test_feet_lead_by_the_time_of_their_damping(windows):
+    leads = np.arange(0.0, 0.041, 0.005)
+    left = [float(missing(replace(windows, twists=windows.twists + t * windows.twist_rates)).norm()) for t in leads]
+    assert leads[np.argmin(left)] == pytest.approx(1 / ContactSettings().friction_damping)
+    assert min(left) < 0.5 * left[0]
+
+
+def test_the_column_of_the_lead_is_what_it_leaves(windows):
+    model, errors = ParticleModel.of(I2.shape), ModelErrors()
+    loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
+    drag = model.particle_friction(torch.tensor(I2.truth.friction)) * loads.at(torch.tensor(I2.truth.mass))
+    mass = model.particle_mass(torch.tensor(I2.truth.mass))
+    rows = LinearRows.of(windows, windows.table(model, errors.pivot_error), mass, drag, errors.lead_error, EXACT_SETUP)
+    column = rows.slopes["lead"][:, :2].flatten()
+    left = missing(windows).flatten()
+    size = float(column @ left / (column @ column))
+    assert 0.5 < size < 1.5 and float((left - size * column).norm()) < 0.7 * float(left.norm())
+
+
+def test_what_does_not_accelerate_has_no_lead(windows):
+    still = replace(windows, twists=windows.twists.mean(1, keepdim=True).expand_as(windows.twists))
+    model = ParticleModel.of(I2.shape)
+    ones = torch.ones(len(model.particles), dtype=torch.float64)
+    assert not LinearRows.of(still, still.table(model), ones, ones, 0.02, EXACT_SETUP).slopes["lead"].any()

@@ -1,7 +1,5 @@
 """A rigid body on points of contact: its loads, what friction then shows, and what four points leave open."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Choice of the support model, and the masses under one rigid body."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 
@@ -23,7 +21,6 @@ from estimators.testing.analytic_world import accelerated, drawn_object, foundat
 from estimators.wrench.model import ParticleModel, inertia_of
 from estimators.wrench.support import SupportModel
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.simulation.contacts import foot_stiffness
@@ -32,6 +29,7 @@ from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial, parse_support
 from tests.helpers.answers import ask, found, nad
+from tests.helpers.blocks import blocks
 
 SUPPORTS: tuple[SupportModel, ...] = "own_weight", "rigid"
 NOISE = 0.02
@@ -109,7 +107,7 @@ def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
     assert (np.sqrt(apart) > 0.02).all()  # a rigid one may hide its masses
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize("share", [0.3, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 0.6, 1.0))])
 def test_the_share_of_springs_in_the_loads_is_found_within_its_error(share):
     obj = drawn_object(5)
     test = decided(obj, joined(obj, share))
@@ -155,7 +153,7 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
         assert answer.diagnostics[f"least_{group}_kg"] - 1e-6 <= mass <= answer.diagnostics[f"most_{group}_kg"] + 1e-6
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("share", [0.3, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.6, 0.9))])
 def test_between_the_two_supports_it_says_so_and_its_errors_hold(share):
     obj = drawn_object(5)
     answer = ask(obj, joined(obj, share), SupportAware())
@@ -215,36 +213,13 @@ def test_the_wrong_materials_are_not_forced_on_it():
 def test_many_assignments_that_fit_are_counted():
     """Sixteen blocks: four numbers cannot tell them."""
     rng = np.random.default_rng(3)
-    obj = block_object(
-        "comb",
-        parse_layout(["10101010", "10101010", "11111111"]),
-        size=0.05,
-        height=0.03,
-        mass=rng.choice(MATERIALS, 16).tolist(),
-        friction=[0.5],
-        friction_group=[0] * 16,
-        grid=3,
-    )
+    obj = blocks(["10101010", "10101010", "11111111"], rng.choice(MATERIALS, 16).tolist())
     trajectories = data(obj, rigid=True, noise=1.0)
     answer = ask(obj, trajectories, SupportAware(materials_kg=MATERIALS))
     assert answer.diagnostics["assignments_holding_90"] > 1
     assert "assignments of the materials hold 90 %" in answer.message
     chosen = found(answer).mass * obj.shape.particles_per_group
     assert np.isclose(chosen[:, None], MATERIALS).any(axis=1).tolist() == [True] * 16
-
-
-@pytest.mark.parametrize(
-    ("field", "settings"),
-    [
-        ("materials_kg", {"materials_kg": (0.1, -1.0)}),
-        ("materials_kg_m3", {"materials_kg": MATERIALS, "materials_kg_m3": (1000.0,)}),
-        ("confidence", {"confidence": 1.0}),
-        ("false_alarms", {"false_alarms": 0.0}),
-    ],
-)
-def test_settings_out_of_range_are_refused(field, settings):
-    with pytest.raises(InvalidValueError, match=rf"SupportAware\.{field}:"):
-        SupportAware(**settings)
 
 
 def brute(rows: np.ndarray, values: np.ndarray, options: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,5 @@
 """The conformance kit: its known blocks, what it says of a wrong answer, and heft's own estimators held to it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The rules of the conformance kit: what keeps to the protocol passes, and every breach is caught."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Forward model of an object in the air, against Newton's law by particle and against true flaws of a setup."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

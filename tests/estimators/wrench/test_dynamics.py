@@ -1,7 +1,5 @@
 """The particle model's dynamics: balances, invariances, and gradients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,6 +1,4 @@
-"""Forward model of an object on the table, against exact Coulomb worlds and against true flaws of a setup."""
-
-from __future__ import annotations
+"""Forward model of an object on the table, and of the scale, against true flaws of a setup."""
 
 from dataclasses import replace
 
@@ -12,8 +10,10 @@ from numpy.testing import assert_allclose
 from estimators.hidden_states.algorithm import Solution, algorithm_1
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
+from estimators.registry import build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes, steady_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
@@ -26,6 +26,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, on_plastic
@@ -172,3 +173,26 @@ def test_masses_come_back_from_predicted_wrenches(trials):
         assert isinstance(solution, Solution)
         guess = solution.masses.distribution
     assert_allclose(guess.mass, OBJECT.truth.mass, rtol=1e-8)
+
+
+SCALED, SCALE = drawn_object(2), SetupErrors(scale=0.02)
+TRIALS = [replace(trial, setup=SCALE) for trial in turns(SCALED, noise=0.05)]
+
+
+@pytest.mark.parametrize("method", ["hidden_states", "least_squares", "support_aware"])
+def test_a_method_knows_the_object_no_better_than_the_scale(method: str):
+    found = build_method(method, {}).estimate(SCALED.shape, SCALED.total_mass, TRIALS, 0)
+    assert found.covariance is not None
+    count = SCALED.shape.particles_per_group
+    assert np.sqrt(count @ found.covariance @ count) == pytest.approx(SCALE.scale, rel=0.1)
+
+
+@pytest.mark.parametrize("made", [True, False], ids=["observed", "expected"])
+def test_a_report_knows_the_object_no_better_than_the_scale(made: bool):
+    actions, assumptions = [trial.action for trial in TRIALS], Assumptions(setup=SCALE)
+    report = (
+        observed(SCALED.shape, SCALED.truth, TRIALS, assumptions)
+        if made
+        else expected(SCALED.shape, SCALED.truth, actions, preset("ft300s"), assumptions)
+    )
+    assert np.sqrt(report.covariance.sum()) == pytest.approx(SCALE.scale, rel=0.1)

@@ -5,8 +5,6 @@ there raises AttributeError and a value of the wrong type TypeError, as protobuf
 instead of the maker's frames. Needs nothing but the standard library of Python 3.8.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import socket

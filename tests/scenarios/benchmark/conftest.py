@@ -1,7 +1,5 @@
 """A small benchmark of known blocks, published without a simulation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The documentation holds: its files load, its code runs, its links lead somewhere, its tables are the code's."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The examples of the documentation run, and say what they say they do."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -1,6 +1,4 @@
-"""Commands that only look: they answer at once, tell the truth of a folder, and fit the terminal."""
-
-from __future__ import annotations
+"""Listings, help, `heft doctor`, the nearest names, and an end without lingering threads."""
 
 import io
 import re
@@ -13,12 +11,18 @@ import pytest
 from rich.console import Console
 
 from estimators.registry import METHODS
+from estimators.testing.recorded import load_block
 from scenarios.catalog import LIBRARY, purpose, scenario_names
 from scenarios.cli.main import COMMANDS, main
+from scenarios.config import load_scenario
+from scenarios.results.estimates import load_trajectories
 from scenarios.results.files import exclusive, write_json
+from scenarios.study.run import run_scenario
 from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
+from tests.fakes.lab_bench import mapping_of, strung, write_csv, write_toml
+from tests.helpers.runs import quiet, small_scenario
 from viz.report.tables import Entry, Table
 from viz.report.terminal import rich_table
 
@@ -173,3 +177,91 @@ def test_an_object_in_links_is_shown_with_its_hinges(capsys):
     main(["show", "folding_rule"])
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if " | leg_" in line]
     assert [line[-2] for line in lines] == ["6", "4"] and ["leg_2", "|", "leg_3"] == lines[1][-6:-3]
+
+
+ONE_METHOD = "\n[methods.hidden_states]\n"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("doctor")
+    file = small_scenario(folder, more=ONE_METHOD)
+    run_scenario(load_scenario(str(file))[1], folder / "out", 0, quiet)
+    return folder / "out"
+
+
+@pytest.mark.slow
+def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
+    main(["doctor", str(results)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("trials that fit least") == said.count("figure: ") == 4  # two supports under two sensors
+    assert "the trials agree within the errors stated" in said
+    assert "rigid, ideal: misfit" in said and "as under one rigid body" in said
+    assert len(list((results / "figures").glob("doctor_pair_*.png"))) == 4
+
+
+@pytest.mark.slow
+def test_what_is_not_there_is_named(results, capsys):
+    for words, wanted in ((["nobody"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
+        with pytest.raises(SystemExit):
+            main(["doctor", str(results), *words])
+        assert wanted in capsys.readouterr().err
+
+
+def ended(*words: str) -> int:
+    try:
+        main([*words])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_a_recording_is_found_and_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    trials = load_block("L2-own_weight").trials("ft300s")[2:4]
+    recording = strung(trials, 1e-5)
+    write_csv(tmp_path / "day.csv", recording)
+    write_toml(tmp_path / "lab.toml", mapping_of(recording, action=None, joints=None))
+    assert ended("import", "lab.toml", "day.csv", "--out", "lab") == 2
+    assert "heft import --find" in capsys.readouterr().err
+    assert ended("import", "lab.toml", "day.csv", "--find", "--grasps", "A3") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "accelerated turn left 8 steps 140 deg (0, 0) A3 0.0" in said
+    assert "turn left and back 10.0 deg/s 41 deg (8, 8) A4 14.1" in said
+    assert "lab.found.toml: look it through" in said
+    assert ended("import", "lab.found.toml", "--out", "lab") == 0
+    said = capsys.readouterr().out
+    assert "ok      day.csv, 0 s to 14.12 s: L2: accelerate (grasp 3" in said
+    assert "2 trials of L2 in lab, all usable" in said
+    stored = [t for _, t in load_trajectories("lab")]
+    assert sorted(t.provenance["stretch"] for t in stored) == ["0 s to 14.12 s", "14.12 s to 28 s"]
+    assert ended("import", "lab.found.toml", "--out", "lab") == 0  # the same again takes the same place
+    assert len(list(load_trajectories("lab"))) == 2
+    text = Path("lab.found.toml").read_text(encoding="utf-8")
+    Path("lab.found.toml").write_text(text.replace("from_s = 14.12\n", "from_s = 4.0\n"), encoding="utf-8")
+    assert ended("import", "lab.found.toml", "--out", "lab") == 2
+    error = capsys.readouterr().err
+    assert "logs.file: got 'day.csv, 0 s to 14.12 s'; allowed: each stretch" in error
+    assert "another [[logs]] has 4 s to 28 s" in error
+    assert ended("import", "lab.found.toml", "--find") == 2
+    assert "--find: got 'lab.found.toml'; allowed: a mapping without [[logs]]" in capsys.readouterr().err
+
+
+ENDLESS = """
+import sys, threading
+from scenarios.cli.main import command
+threading.Thread(target=threading.Event().wait, name="endless").start()
+sys.argv = ["heft", WORDS]
+command()
+"""
+
+
+@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("no_such_command", 2)])
+def test_a_thread_that_never_ends_is_named_and_left(words: str, code: int):
+    program = ENDLESS.replace("WORDS", repr(words))
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == code
+    assert "threads of a plug-in still running: endless" in ended.stderr

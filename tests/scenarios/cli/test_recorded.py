@@ -1,7 +1,5 @@
 """heft import and heft estimate: another bench's logs become trials, and every method answers from them."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Outputs that the README and the documentation show are what their commands print."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex

@@ -1,7 +1,5 @@
 """Planning as an environment of Gymnasium: its interface, its rewards, and what it keeps to itself."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Without Gymnasium the environment says what to install."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

@@ -1,23 +1,34 @@
-"""Actions: plain data and back, and values out of range refused."""
-
-from __future__ import annotations
+"""Actions: plain data, tool paths, pushes, and the table of what every kind does."""
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
+from estimators.action_selection.candidates import ActionFamily
 from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action, action_from_dict
+from testbed.actions.base import Action, TableAction, action_from_dict
 from testbed.actions.lift import Lift
+from testbed.actions.path import HIGH, LOW, RAMP_TIME, WORKSPACE, PlanarPath, outline, overhang_of
+from testbed.actions.push import GAP, Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
-from testbed.errors import InvalidValueError
+from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.frames import transform_point
+from testbed.objects.faces import faces
 from testbed.objects.files import load_object
+from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed.simulation.motion import plan_motion
+from testbed.simulation.runner import SimulationRunner
+from testbed.simulation.scene import part
+from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.trial import RIGID, Trial
 
 GRASP = st.integers(0, 20)
 POSITIVE = st.floats(1e-6, 1e3)
@@ -138,3 +149,188 @@ def test_what_does_not_move_takes_no_time():
     assert Weigh().seconds == 0.0
     with pytest.raises(InvalidValueError, match="an action that moves the object"):
         Weigh().tool_path(load_object("L2").shape, np.zeros(3), 0.01)
+
+
+SHAPE = load_object("L2").shape
+PATHS = [
+    Rotate(2, pivot=(0.01, -0.02), back=True, duration=3.0),
+    Rotate(0, speed=-0.3, duration=2.0),
+    Slide(1, direction=0.7, duration=2.0),
+    Accelerate(1),
+    Accelerate(0, (-1.0, 1.0), 0.6, -0.7),
+]
+
+
+@pytest.mark.parametrize("action", PATHS, ids=str)
+def test_distance_is_the_integral_of_the_rate(action):
+    profile = action.profile(0.01)
+    rate = np.concatenate([[0.0], profile.rate])
+    assert_allclose(profile.distance, np.cumsum((rate[1:] + rate[:-1]) / 2) * 0.01, atol=1e-12)
+    assert rate[-1] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("action", [*PATHS, Push.into(faces(SHAPE)[2], 0.4, 0.2, 5.0), Lift(1)], ids=str)
+def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_derivative(action):
+    path, fine = (action.tool_path(SHAPE, np.array([0.4, 0.1, 0.3]), step) for step in (0.01, 0.001))
+    times = np.arange(1, len(fine.segment), 37) * 0.001
+    poses, rates = (np.array(each) for each in zip(*map(fine.at, times), strict=True))
+    ahead, behind = (np.array([fine.at(t + d)[0] for t in times]) for d in (5e-4, -5e-4))
+    assert_allclose((ahead - behind) / 1e-3, rates, atol=2e-3)
+    if not action.in_air:  # where every stretch lasts whole ticks
+        assert_allclose([path.at(t)[0] for t in times], poses, atol=5e-5)
+        assert_allclose([path.at(t)[1] for t in times], rates, atol=3e-3)
+    for time, there in ((-1.0, path.start), (1e3, path.at(path.duration)[0])):
+        pose, rate = path.at(time)
+        assert_allclose(pose, there)
+        assert not rate.any()
+    assert path.duration == pytest.approx(action.tool_path(SHAPE, np.zeros(3), 0.01).duration)
+
+
+def test_a_turn_there_and_back_ends_where_it_began():
+    profile = PATHS[0].profile(0.01)
+    assert profile.distance[-1] == pytest.approx(0.0, abs=1e-12)
+    assert profile.length == pytest.approx(math.radians(10) * (3.0 + RAMP_TIME))
+
+
+@pytest.mark.parametrize("action", PATHS, ids=str)
+def test_a_path_keeps_its_pivot_and_its_grasp_and_leads_on_from_its_start(action):
+    path = action.centered_path(SHAPE, 0.6)
+    part = np.linspace(-0.5, 0.5, 11)
+    objects, tools = path.object_pose(part), path.tool_pose(part)
+    grasp = SHAPE.grasps[action.grasp]
+    assert_allclose(tools[5, :2], WORKSPACE, atol=1e-12)
+    assert_allclose(tools[5, 2], 0.0, atol=1e-12)
+    assert_allclose(transform_point(objects, grasp.position), tools[:, :2], atol=1e-12)
+    assert_allclose(tools[:, 2] - objects[:, 2], grasp.angle)
+    pivot = transform_point(objects, path.pivot)
+    if not action.turns:
+        assert_allclose(np.linalg.norm(pivot[-1] - pivot[0]), 0.6)
+        heading = np.arctan2(*(pivot[-1] - pivot[0])[::-1]) - objects[0, 2]
+        assert heading == pytest.approx(0.7)
+    else:
+        assert_allclose(pivot, np.tile(pivot[0], (11, 1)), atol=1e-12)
+        assert objects[-1, 2] - objects[0, 2] == pytest.approx(math.copysign(0.6, action.steady[0].speed))
+    again = action.path_from(SHAPE, 0.6, objects[0])
+    assert_allclose(again.tool_pose(part), tools, atol=1e-12)
+
+
+L2 = load_object("L2").shape
+
+
+def test_faces_close_the_outline():
+    every = faces(L2)
+    assert sum(face.length * face.normal for face in every) == pytest.approx(0, abs=1e-12)
+    # the area, by the divergence theorem, is that of all cells
+    area = sum(face.length * face.normal @ (face.begin + face.end) / 4 for face in every)
+    assert area == pytest.approx(len(L2.particles) * L2.cell**2)
+    assert all(
+        L2.mass_group[np.linalg.norm(L2.particles - (f.begin + f.end) / 2, axis=1).argmin()] == f.group for f in every
+    )
+
+
+def test_the_path_meets_the_point_and_bends():
+    face = faces(L2)[0]
+    point, inwards = (face.begin + face.end) / 2, math.atan2(-face.normal[1], -face.normal[0])
+    for bend in (0.0, 3.0, -3.0):
+        push = Push((float(point[0]), float(point[1])), inwards, bend, length=0.1)
+        way = np.linspace(0.0, GAP + 0.1, 200)
+        path = push.path(L2, way)
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(GAP + 0.1, rel=1e-5)
+        contact = push.path(L2, np.array([GAP]))[0] - push.radius * face.normal
+        assert contact == pytest.approx(point)
+        ends = [np.arctan2(*np.diff(path[part], axis=0)[0][::-1]) for part in (slice(0, 2), slice(-2, None))]
+        assert math.remainder(ends[1] - ends[0] - bend * 0.1, 2 * math.pi) == pytest.approx(0, abs=2e-3)
+        assert push.seconds > (GAP + 0.1) / push.speed
+        assert action_from_dict(json.loads(json.dumps(push.to_dict()))) == push
+        assert push.grasp is None and "push at" in push.describe(L2)
+
+
+@pytest.mark.parametrize("change", [{"speed": 0.3}, {"length": 0.0}, {"curvature": math.nan}, {"point": (1.0,)}])
+def test_what_is_no_push_is_refused(change):
+    with pytest.raises(InvalidValueError):
+        Push(**{"point": (0.0, 0.0), "direction": 0.0} | change)
+
+
+def test_a_push_needs_a_face_before_it():
+    face = faces(L2)[0]
+    x, y = ((face.begin + face.end) / 2).tolist()
+    outwards = math.atan2(face.normal[1], face.normal[0])
+    for push in (Push((x, y), outwards), Push((x, y), outwards + math.pi / 2), Push((9.0, 9.0), 0.0)):
+        with pytest.raises(InvalidValueError):
+            push.face(L2)
+
+
+WELD = SimulationSettings(grip=GripSettings(mode="weld"))
+
+
+def stretched(times: float) -> ObjectShape:
+    """L2, its blocks so much farther apart."""
+    shape = load_object("L2").shape
+    grasps = tuple(replace(grasp, position=times * grasp.position) for grasp in shape.grasps)
+    return replace(shape, particles=times * shape.particles, grasps=grasps)
+
+
+def path_of(action: TableAction, shape: ObjectShape) -> PlanarPath:
+    return action.centered_path(shape, action.profile(0.01).length)
+
+
+def beyond(action: TableAction, shape: ObjectShape, parts: int = 2001) -> np.ndarray:
+    """Overhang of any corner of any cell past each edge, by looking everywhere, (4,)."""
+    half = shape.cell / 2 * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    corners = (shape.particles[:, None] + half).reshape(-1, 2)
+    poses = path_of(action, shape).object_pose(np.linspace(-0.5, 0.5, parts))
+    places = transform_point(poses[:, None], corners).reshape(-1, 2)
+    return np.concatenate([places.max(axis=0) - HIGH, LOW - places.min(axis=0)])
+
+
+def test_it_is_as_large_as_the_scene_has_it():
+    spec = part("table")
+    for name in ("top", "slab"):
+        geom = spec.geom(name)
+        np.testing.assert_allclose(geom.pos[:2] - geom.size[:2], LOW)
+        np.testing.assert_allclose(geom.pos[:2] + geom.size[:2], HIGH)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_how_far_an_object_gets_is_exact(seed):
+    rng, shape = np.random.default_rng(seed), load_object("F2").shape
+    pivot = tuple(rng.uniform(-0.4, 0.4, 2))
+    turn = Rotate(int(rng.integers(len(shape.grasps))), float(rng.choice([-1, 1])) * 0.2, rng.uniform(1, 30), pivot)
+    for action in (turn, Slide(0, rng.uniform(-4, 4), duration=rng.uniform(2, 8)), Accelerate(1)):
+        found = overhang_of(shape, path_of(action, shape))
+        np.testing.assert_allclose(found, beyond(action, shape), atol=1e-5)
+
+
+def test_no_candidate_carries_the_object_over_the_edge():
+    near, far = stretched(1.0), stretched(3.0)  # 0.6 m from end to end
+    for shape in (near, far):
+        found = ActionFamily().sample(shape, range(len(shape.grasps)), 100, 0)
+        assert {Rotate, Slide, Accelerate} == {type(action) for action in found}
+        moved = [action for action in found if isinstance(action, TableAction)]
+        assert max(beyond(action, shape, 51).max() for action in moved) <= 1e-9
+    turns = [action for action in moved if isinstance(action, Rotate)]
+    assert len(turns) > 50 and len({turn.grasp for turn in turns}) > 1
+    longer = [replace(turn, duration=18.0) for turn in turns]  # which is not for want of turns that would
+    assert max(beyond(turn, far, 51).max() for turn in longer) > 0.05
+
+
+def test_the_bench_refuses_what_would_pass_the_edge():
+    def check(action: Rotate | Slide | Lift, times: float) -> None:
+        shape = stretched(times)
+        mass = MassDistribution(np.full(shape.n_m, 0.2 / len(shape.particles)), np.full(shape.n_mu, 0.2))
+        SimulationRunner(WELD).check(Trial(ObjectModel("long", shape, mass), action, RIGID))
+
+    check(Rotate(0, duration=4.0), 2.0)
+    whole = r"within x -0\.30 to 1\.00 m and y -0\.60 to 0\.60 m"
+    with pytest.raises(InfeasibleTrialError, match=rf"table: .* (left|right|far) edge by \d+ mm; .*{whole}"):
+        check(Rotate(0, duration=18.0), 5.0)
+    for action, times in ((Slide(0, np.pi / 2), 4.2), (Lift(0), 6.0)):  # a lift: where it lies, before it is lifted
+        with pytest.raises(InfeasibleTrialError, match=r"table: .* edge by"):
+            check(action, times)
+
+
+def test_where_an_object_is_laid_down_its_way_begins():
+    shape, action = load_object("L2").shape, Rotate(2, duration=3.0, pivot=(0.05, -0.1), back=True)
+    path = action.path_from(shape, action.profile(0.01).length, plan_motion(action, shape, WELD).object_pose)
+    np.testing.assert_allclose(overhang_of(shape, path), overhang_of(shape, path_of(action, shape)), atol=1e-9)
+    assert len(outline(shape)) <= 8

@@ -1,7 +1,5 @@
 """Lifts: the profile, what the bench refuses, and the wrench against Newton and Euler."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

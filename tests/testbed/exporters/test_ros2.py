@@ -1,7 +1,5 @@
 """Trials written as ROS 2 messages: each number in the file, and again after `heft import`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Poses of a camera in another bench's logs: pushes and objects in links come back, by columns, messages and trees."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,18 +1,21 @@
-"""Pose and wrench from separate streams: the delay between them is found from accelerated turns, and taken off."""
-
-from __future__ import annotations
+"""Clocks and units of logs: shifts between streams, rates, gaps, and SI values."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from testbed.actions.accelerate import Accelerate
-from testbed.errors import HeftError
+from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory
+from testbed.importers.logs import FACTORS, LogError, Series, factor
+from testbed.importers.phases import common_base, resampled, resampled_rotation
 from testbed.objects.files import load_object
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
@@ -93,3 +96,82 @@ def test_other_clocks_are_refused(turns: list[Trajectory], tmp_path: Path):
     with pytest.raises(HeftError, match=r"40.0 ms in one turn and .* allowed: the same clocks"):
         pooled_delay([Delay(0.04, 0.002), Delay(0.0, 0.002), Delay(0.001, 0.002)])
     assert pooled_delay([]) is None
+
+
+def jittered(rate: float, seconds: float, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return 5.0 + np.cumsum(rng.uniform(0.5, 1.5, int(seconds * rate)) / rate)
+
+
+@given(st.sampled_from([20.0, 90.0, 100.0, 180.0, 1000.0]), st.integers(0, 99), st.floats(-5, 5), st.floats(-50, 50))
+def test_a_line_stays_a_line(rate: float, seed: int, slope: float, level: float):
+    time = jittered(rate, 3.0, seed)
+    series = Series(time, (level + slope * time)[:, None])
+    base = common_base([series], 0.2)
+    assert_allclose(np.diff(base), 0.01, atol=1e-9)
+    inner = slice(1, -1)  # at an end, half a sample's average is not centered
+    assert_allclose(resampled(series, base)[inner, 0], (level + slope * base)[inner], atol=1e-8)
+
+
+def test_white_noise_is_averaged():
+    time = np.arange(100_000) / 1000
+    series = Series(time, np.random.default_rng(0).standard_normal((100_000, 1)))
+    assert resampled(series, common_base([series], 0.1)).std() == pytest.approx(1 / np.sqrt(10), rel=0.05)
+
+
+def test_what_is_faster_than_the_base_does_not_fold_in():
+    time = np.arange(10_000) / 1000
+    series = Series(time, np.sin(2 * np.pi * 99.0 * time)[:, None])  # would look like 1 Hz at 100 Hz
+    assert np.abs(resampled(series, common_base([series], 0.1))[1:-1]).max() < 0.02
+
+
+@given(st.integers(0, 99), st.floats(-3, 3))
+def test_a_steady_turn_stays_one(seed: int, rate: float):
+    time = jittered(70.0, 3.0, seed)
+    axis = np.array([0.36, 0.48, 0.8])
+    turning = Rotation.from_rotvec(rate * time[:, None] * axis)
+    base = np.arange(time[0], time[-1], 0.01)
+    expected = Rotation.from_rotvec(rate * base[:, None] * axis)
+    assert (resampled_rotation(time, turning, base) * expected.inv()).magnitude().max() < 1e-9
+
+
+def test_the_base_is_what_all_have_in_common():
+    a, b = (Series(np.arange(begin, end, 0.01), np.zeros((300, 1))) for begin, end in ((0.0, 3.0), (1.0, 4.0)))
+    base = common_base([a, b], 0.1)
+    assert_allclose(base[[0, -1]], [1.0, 2.99], atol=1e-9)
+    with pytest.raises(LogError, match=r"have 0\.00 s in common"):
+        common_base([a, Series(a.time_s + 10, a.values)], 0.1)
+
+
+def test_a_gap_is_not_bridged():
+    time = np.concatenate([np.arange(0, 1, 0.01), np.arange(1.5, 3, 0.01)])
+    with pytest.raises(LogError, match=r"silent for 0\.51 s at 0\.99 s; allowed: 0\.1 s"):
+        common_base([Series(time, np.zeros((len(time), 1)))], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "one"),
+    [
+        ("force", "kgf", 9.80665),
+        ("force", "lbf", 4.4482216),
+        ("force", "mN", 1e-3),
+        ("torque", "N mm", 1e-3),
+        ("torque", "kgf cm", 0.0980665),
+        ("torque", "lbf in", 0.11298483),
+        ("angle", "deg", np.pi / 180),
+        ("turn rate", "deg/s", np.pi / 180),
+        ("length", "mm", 1e-3),
+        ("time", "ns", 1e-9),
+        ("speed", "cm/s", 1e-2),
+    ],
+)
+def test_units_have_their_si_values(quantity: str, unit: str, one: float):
+    assert factor(quantity, unit) == pytest.approx(one, rel=1e-7)
+    with pytest.raises(InvalidValueError, match=f"a unit of {quantity}: {next(iter(FACTORS[quantity]))}"):
+        factor(quantity, "furlong")
+
+
+def test_an_unknown_unit_names_the_nearest():
+    for unit, nearest in (("Nm", "N m"), ("N*mm", "N mm")):
+        with pytest.raises(InvalidValueError, match=rf"nearest: {nearest}\)"):
+            factor("torque", unit)

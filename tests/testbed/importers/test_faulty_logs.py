@@ -1,7 +1,5 @@
 """Logs with values that look like data and are none, and tables in the ways that people save them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs that no recorder writes are refused in a line, and take neither memory nor time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

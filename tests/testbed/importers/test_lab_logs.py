@@ -1,7 +1,5 @@
 """Logs of other robots come back as the trajectory behind them, whatever their units, frames and rates."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Public measurements, where HEFT_REAL_DATA names a folder that has them: docs/real_data.md says where to get them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """ROS 2 bags are read without ROS, and hold what the same data as CSV does."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass

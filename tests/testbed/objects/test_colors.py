@@ -1,7 +1,5 @@
 """Colors of mass groups: told apart by everybody, and the same in the simulation and in the recordings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba

@@ -1,7 +1,5 @@
 """Mesh files as they come to objects: units, mending, poses, contacts, parts, grasps, and the files written."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -1,7 +1,5 @@
 """Exported estimates: the same body everywhere, and in heft's own bench the wrench of the estimate."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Objects made of meshes: partition into particles, solids, and what a gripper's pads find."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Object files: what the library holds, and what a wrong file is told."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Block objects as particles: layouts, grasps, and the moments of a solid slab."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

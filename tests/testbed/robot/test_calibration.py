@@ -1,7 +1,5 @@
 """Calibration by static poses, and of a tracker: all comes back with honest errors, or is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,6 +75,7 @@ def walking(seed: int, step: float) -> list[StaticPose]:
     return [replace(pose, wrench=pose.wrench + off) for pose, off in zip(still, drift, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.0, 0.1])
 def test_a_bias_that_walks_is_found_and_counted(step: float):
     found = [calibrate(walking(seed, step)) for seed in range(8)]
@@ -93,6 +92,8 @@ def test_a_bias_that_walks_is_found_and_counted(step: float):
 
 def test_a_walk_is_kept_in_the_file(tmp_path: Path):
     found = calibrate(walking(1, 0.1))
+    assert found.bias_walk.all() and abs(found.mass - MASS) < 0.012
+    assert any("the bias walks by up to" in line for line in in_words(found))
     save_calibration(tmp_path / "c.toml", found, "7", "today")
     assert_allclose(load_calibration(tmp_path / "c.toml").bias_walk, found.bias_walk)
 

@@ -1,22 +1,25 @@
-"""The trial that tells whether a calibration holds: a right one passes, and each wrong one is named."""
-
-from __future__ import annotations
+"""Checks of a calibrated bench: a trial, motion against the actions that are told, weighing and a known mass."""
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
-from testbed.frames import rotate_wrench
+from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.robot.calibration.motion import check_motion
 from testbed.robot.calibration.trial import Finding, check_trial
+from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
+from tests.helpers.records import coloured_noise
 
 COVARIANCE = np.diag(np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 2e-4]) ** 2)
 TURN = Rotate(0, duration=2.5, pivot=(0.1, 0.15), back=True)
@@ -108,3 +111,151 @@ def test_nothing_lifted_and_next_to_nothing_measured_are_told(moves: list[Trajec
     noise = 5.0 * np.random.default_rng(0).standard_normal((len(moves[1].time_s), 6))
     faint = replace(moves[1], wrench_on_object_world=noise)
     assert "too little to decide" in wrong(check_trial(None, None, steady_windows(faint)))["friction"]
+
+
+OBJECT = drawn_object(0)
+BESIDE = np.array([[0.02, 0.015], [-0.02, 0.01], [0.015, -0.025], [-0.01, -0.02], [0.03, 0.0]])
+
+
+def turns(obj: ObjectModel = OBJECT) -> list[Trajectory]:
+    grasps = [k % len(obj.shape.grasps) for k in range(len(BESIDE))]
+    pivots = [tuple(obj.shape.grasps[g].position + by) for g, by in zip(grasps, BESIDE, strict=True)]
+    return [analytic_trial(obj, Rotate(g, duration=2.5, pivot=p)) for g, p in zip(grasps, pivots, strict=True)]
+
+
+def turn_of(trial: Trajectory) -> Rotate:
+    assert isinstance(trial.action, Rotate)
+    return trial.action
+
+
+def told_yaw(trial: Trajectory, more: float) -> Trajectory:
+    """The trial with the object told to lie turned by more, about the grasp."""
+    pose = trial.object_pose.copy()
+    pose[:, 2] += more
+    return replace(trial, object_pose=pose)
+
+
+def wrong_in(trials: list[Trajectory], shape=OBJECT.shape) -> dict[str, str]:
+    return {finding.what: finding.text for finding in check_motion(shape, trials) if not finding.ok}
+
+
+def test_what_is_told_right_is_right():
+    findings = check_motion(OBJECT.shape, [*turns(), analytic_trial(OBJECT, Slide(0, 0.3))])
+    assert [finding.what for finding in findings] == ["closing direction", "TCP", "center"]
+    assert all(finding.ok for finding in findings)
+    assert check_motion(OBJECT.shape, [analytic_trial(OBJECT, Slide(0, 0.3))]) == []
+
+
+@pytest.mark.parametrize("degrees", [90, -35, 2, -2])
+def test_the_closing_direction_is_corrected_by_what_it_is_off(degrees):
+    trials = [told_yaw(trial, np.radians(degrees)) for trial in turns()]
+    found = wrong_in(trials)
+    assert set(found) == {"closing direction"}
+    assert f"correct closing_deg by {-degrees:+d}" in found["closing direction"]
+    assert not wrong_in(turns()[:1]) and set(wrong_in(trials[:1])) == {"closing direction"}
+
+
+def test_a_tcp_beside_its_place_is_told_by_how_much():
+    offset, trials = np.array([0.003, -0.001]), []
+    for trial in turns():
+        angle = trial.object_pose[:, 2] + OBJECT.shape.grasps[turn_of(trial).grasp].angle
+        by = np.einsum("nij,j->ni", rotation_2d(angle), offset)
+        velocity = trial.tcp_velocity.copy()
+        velocity[:, :2] += perpendicular(by) * trial.object_velocity[:, 2:]
+        trials.append(replace(trial, tcp_velocity=velocity))
+    found = wrong_in(trials)
+    assert set(found) == {"TCP"} and "(-3.0, +1.0)" in found["TCP"]
+
+
+def test_one_wrong_grasp_is_named_with_the_one_that_would_fit():
+    trials, shape = turns(), OBJECT.shape
+    action = turn_of(trials[2])
+    other = (action.grasp + 1) % len(shape.grasps)
+    turned = shape.grasps[action.grasp].angle - shape.grasps[other].angle
+    trials[2] = replace(told_yaw(trials[2], turned), action=replace(action, grasp=other))
+    found = wrong_in(trials)
+    assert set(found) == {"center"}
+    assert f"grasp {shape.grasps[action.grasp].name} would fit" in found["center"]
+
+
+def test_a_mirrored_object_is_told():
+    flip = np.array([1.0, -1.0])
+    grasps = tuple(replace(g, position=g.position * flip, angle=-g.angle) for g in OBJECT.shape.grasps)
+    mirrored = replace(OBJECT.shape, particles=OBJECT.shape.particles * flip, grasps=grasps)
+    trials = []
+    for trial in turns():
+        x, y = turn_of(trial).center(OBJECT.shape)
+        angle = OBJECT.shape.grasps[turn_of(trial).grasp].angle
+        trials.append(replace(told_yaw(trial, 2 * angle), action=replace(turn_of(trial), pivot=(x, -y))))
+    assert "mirrored" in wrong_in(trials, mirrored)
+
+
+SPREAD = np.array([0.067, 0.083, 0.065, 0.0034, 0.0030, 0.0010])
+BIAS = np.array([5.0, -3.0, 8.0, 0.1, 0.2, -0.3])
+UP = Rotation.from_euler("xyz", [170, 10, 30], degrees=True).as_matrix()[2]
+"""World z in the axes of a sensor that points down, not quite."""
+
+
+def samples(mass: float, seed: int = 0, *, sign: int = 1, noise: float = 1.0, count: int = 200) -> np.ndarray:
+    """Two seconds of a hand that holds a mass."""
+    rng = np.random.default_rng(seed)
+    held = np.concatenate([mass * GRAVITY * UP, np.zeros(3)])
+    return BIAS + sign * held + noise * SPREAD * coloured_noise(count, 6, 0.3, rng)
+
+
+def weighed(mass: float, seed: int = 0, **how: Any) -> Weighing:
+    return weigh(samples(0.0, 2 * seed), samples(mass, 2 * seed + 1, **how), UP)
+
+
+def test_without_noise_it_reads_the_mass():
+    for sign in (1, -1):
+        empty, loaded = (samples(m, sign=sign, noise=1e-9) for m in (0.0, 1.23))
+        assert weigh(empty, loaded, UP).mass == pytest.approx(sign * 1.23, abs=1e-8)
+        assert weigh(empty, loaded, None).mass == pytest.approx(1.23, abs=1e-8)
+
+
+def test_its_error_is_as_large_as_it_says():
+    found = [weighed(0.8, seed) for seed in range(300)]
+    z = np.array([(w.mass - 0.8) / w.standard_error for w in found])
+    assert abs(z.mean()) < 4 / np.sqrt(300)
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.35)
+    assert np.mean([w.standard_error for w in found]) < 0.002
+
+
+def test_drift_between_the_readings_is_in_its_error():
+    empty, loaded = samples(0.0), samples(0.5, 1)
+    sure, unsure = weigh(empty, loaded, UP), weigh(empty, loaded, UP, drift=0.5)
+    assert unsure.mass == sure.mass
+    assert unsure.standard_error == pytest.approx(np.hypot(sure.standard_error, 0.5 / GRAVITY))
+
+
+@pytest.mark.parametrize(
+    ("mass", "how", "verdict", "said"),
+    [
+        (1.0, {}, "agrees", r"9\.8\d \+- 0\.0\d N where 1 kg weighs 9\.81 N: within 2%"),
+        (1.0, {"sign": -1}, "negated", "set sign = -1"),
+        (1.1, {}, "disagrees", r"off by \+\d+\.\d %: the sensor may hold a stored tool calibration"),
+        (0.5, {}, "disagrees", r"off by -(49|50)\.\d %"),
+        (1.0, {"noise": 20.0}, "unsure", r"the scatter hides 2%: measure longer, or take \d+\.\d kg or more"),
+    ],
+)
+def test_a_known_mass_tells_a_sensors_faults(mass: float, how: dict[str, Any], verdict: str, said: str):
+    check = check_known_mass(weighed(mass, **how), 1.0)
+    assert check.verdict == verdict
+    assert re.search(said, check.text)
+
+
+def test_an_honest_sensor_agrees_and_a_dishonest_one_does_not_whatever_the_draw():
+    for seed in range(100):
+        assert check_known_mass(weighed(1.0, seed), 1.0).verdict == "agrees"
+        assert check_known_mass(weighed(1.05, seed), 1.0).verdict == "disagrees"
+
+
+def test_an_object_hangs_where_its_moment_says():
+    center, weight = np.array([0.03, -0.02, -0.05]), np.array([0, 0, 0.6 * GRAVITY])
+    held = np.concatenate([weight, np.cross(center, weight)])
+    found = held_center(held, COVARIANCE)
+    assert_allclose(found.offset, center[:2], atol=1e-12)
+    rng = np.random.default_rng(0)
+    draws = [held_center(held + rng.multivariate_normal(np.zeros(6), COVARIANCE), COVARIANCE) for _ in range(300)]
+    assert_allclose(np.cov([d.offset for d in draws], rowvar=False), found.covariance, rtol=0.3, atol=2e-10)

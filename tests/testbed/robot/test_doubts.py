@@ -1,7 +1,5 @@
 """Every reason for which a whole record is no data, each found alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The FT-300S driver against a sensor on a pseudo terminal: identity, stream, faults of the wire, unplugging."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The stream's parser and clock: every whole frame is found, no other, whatever comes between and however it is cut."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

@@ -1,7 +1,5 @@
 """The guard on the computer's own clock: it stops the arm whatever the control loop or a driver is doing."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

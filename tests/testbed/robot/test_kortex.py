@@ -1,7 +1,5 @@
 """The Kortex arm over its own process, against a fake Gen3 that runs in real time behind a fake `kortex_api`."""
 
-from __future__ import annotations
-
 import ast
 import math
 import os

@@ -1,7 +1,5 @@
 """Static poses from a recording: rests and slow motion are found, and a calibration of them has honest errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -74,6 +72,7 @@ def test_a_row_may_be_a_pose(tmp_path):
         recorded_poses(tmp_path / "rows.csv", mapping)
 
 
+@pytest.mark.slow
 def test_each_axis_scatters_in_its_own_way():
     """Readings of a sensor whose axes are off each by its own size: errors are those of repeated calibrations."""
     rng, scores = np.random.default_rng(4), []

@@ -1,7 +1,5 @@
 """The page on the real bench: its tables are the code's."""
 
-from __future__ import annotations
-
 import errno
 import inspect
 import json

@@ -1,6 +1,4 @@
-"""Pushes, and objects in links, on a fake robot with a camera in simulated time."""
-
-from __future__ import annotations
+"""Pushes, objects in links, and lifts, on a fake robot in simulated time."""
 
 import math
 import re
@@ -9,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
+from estimators.inertial import least_squares_inertia, lift_equations, true_body
+from scenarios.cli.robot.trial import action_of
+from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.robot.calibration.motion import wrong_motion
 from testbed.robot.camera.interface import CameraLostError
-from testbed.robot.config import RobotSettings
+from testbed.robot.config import LimitsTable, RobotFile, RobotSettings
 from testbed.robot.path import described, plan_trial, starting_pose
 from testbed.robot.robotiq.gripper import data_sheet
 from testbed.sensing.link_windows import link_windows
@@ -24,17 +26,18 @@ from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
-from testbed.trial import Trial
+from testbed.trial import RIGID, Trial
 from tests.fakes.lying_camera import DRAG, LIES, begins, in_links, shifted
 from tests.fakes.lying_camera import PUSH as PUSH_TRIAL
-from tests.fakes.robot import robot_for
+from tests.fakes.robot import briefly, robot_for, small_object
 
 OBJECT = PUSH_TRIAL.object
 PUSH = Push((0.05, -0.01), math.pi)
+SLOW = pytest.mark.slow
 
 
-def run(trial: Trial, watch=lambda _: None, **of_runner):
-    robot, runner = robot_for(trial, watch, seed=1, **of_runner)
+def run(trial: Trial, watch=lambda _: None, change=briefly, **of_runner):
+    robot, runner = robot_for(trial, watch, seed=1, change=change, **of_runner)
     with runner:
         return runner.run(trial), robot
 
@@ -43,7 +46,7 @@ def run(trial: Trial, watch=lambda _: None, **of_runner):
     "push",
     [
         pytest.param(PUSH, id="line"),
-        pytest.param(replace(PUSH, direction=math.pi - 0.3, curvature=4.0), id="curve", marks=pytest.mark.slow),
+        pytest.param(replace(PUSH, direction=math.pi - 0.3, curvature=4.0), id="curve", marks=SLOW),
     ],
 )
 def test_a_push_measures_what_the_simulation_does(push, tmp_path):
@@ -68,7 +71,7 @@ def test_a_push_measures_what_the_simulation_does(push, tmp_path):
     assert len(seen) > 25 * real.time_s[-1] * 0.9 and all(len(line.split(",")) == 5 for line in seen[1:])
 
 
-@pytest.mark.slow
+@SLOW
 def test_links_are_dragged_as_in_the_simulation():
     trial = Trial(in_links(), Slide(0, direction=0.5, duration=1.6))
     real, robot = run(trial)
@@ -97,11 +100,10 @@ def trouble(**what):
 @pytest.mark.parametrize(
     ("watch", "status", "why"),
     [
-        (trouble(camera_lost=True), "fault", "camera: unplugged"),
-        (trouble(camera_blind=True), "fault", "did not see the object for"),
-        (trouble(load=np.array([0, 0, 100.0, 0, 0, 0])), "limit", "force"),
+        pytest.param(trouble(camera_lost=True), "fault", "camera: unplugged", id="lost"),
+        pytest.param(trouble(camera_blind=True), "fault", "did not see the object for", id="blind", marks=SLOW),
+        pytest.param(trouble(load=np.array([0, 0, 100.0, 0, 0, 0])), "limit", "force", id="hit", marks=SLOW),
     ],
-    ids=["lost", "blind", "hit"],
 )
 def test_a_push_that_fails_stops_and_tells(watch, status, why):
     record, robot = run(Trial(OBJECT, PUSH), watch)
@@ -109,10 +111,11 @@ def test_a_push_that_fails_stops_and_tells(watch, status, why):
     assert not robot.world.driven
 
 
+@SLOW
 def test_a_push_beside_the_object_is_no_data():
     """The camera's place is off by as much as may go unnoticed before; the fingertip then passes the object."""
     trial = Trial(OBJECT, replace(PUSH, point=(0.05, 0.02)))
-    robot, runner = robot_for(trial, seed=1)
+    robot, runner = robot_for(trial, seed=1, change=briefly)
     x, y, yaw = starting_pose(trial)
     robot.world.place(np.array([x - 0.014, y, yaw]), PUSH.fingertip(OBJECT.shape))
     with runner:
@@ -150,24 +153,21 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
         plan_trial(trial, np.array([0.6, 0.5, 0.0]), settings).check(settings)
 
 
-QUICK = "every other frame 50 mm off", "1e308"
-
-
 @pytest.mark.parametrize(
     ("lie", "links"),
     [
-        pytest.param(n, links, id=f"{n}-{what}", marks=() if n in QUICK and not links else pytest.mark.slow)
+        pytest.param(n, links, id=f"{n}-{what}", marks=() if n == "1e308" and not links else SLOW)
         for n in LIES
         for links, what in ((False, "push"), (True, "links"))
     ],
 )
 def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, links):
-    record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]))
+    record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]), change=replace)
     assert record.status == "fault" and re.search(LIES[lie][1], record.reason), record.reason
     assert not robot.world.driven
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
 def test_an_honest_camera_is_no_liar(links):
     """In ten trials each; a tag that flips for one frame is left out."""
@@ -178,3 +178,95 @@ def test_an_honest_camera_is_no_liar(links):
         with runner:
             record = runner.run(trial)
         assert record.ok, record.reason
+
+
+LIFTED = small_object()
+STEEP = math.radians(21)
+TRIAL = Trial(LIFTED, Lift.stop_and_go(0), RIGID)
+
+
+def tilting(settings: RobotSettings) -> RobotSettings:
+    return replace(settings, limits=replace(settings.limits, tilt=STEEP))
+
+
+def test_the_leg_in_the_air_moves_as_it_says_it_does():
+    settings = tilting(RobotSettings(data_sheet(0.05), table_height=0.01))
+    plan = plan_trial(TRIAL, np.array([0.5, -0.1, 0.4]), settings)
+    plan.check(settings)
+    assert plan.act is not None
+    assert_allclose(plan.act.at(0.0).position, plan.descent.end)
+    assert_allclose(plan.act.at(plan.act.duration).position, plan.descent.end, atol=1e-9)
+    about_x = plan.act.path.ways[1].slope(np.zeros(1))[0]
+    assert_allclose(about_x[4:], [math.cos(0.4), math.sin(0.4), 0.0], atol=1e-12)
+    most = 0.0
+    for time in np.arange(0.105, plan.act.duration, 0.1):
+        ahead, now, behind = (plan.act.at(time + d) for d in (0.004, 0.0, -0.004))
+        turned = Rotation.from_rotvec(ahead.tilt) * Rotation.from_rotvec(behind.tilt).inv()
+        assert_allclose(turned.as_rotvec() / 0.008, now.angular_velocity, atol=0.03)
+        assert_allclose((ahead.position - behind.position) / 0.008, now.velocity, atol=2e-3)
+        assert np.linalg.norm(now.velocity) <= settings.descent_speed + 1e-9
+        most = max(most, now.tilt_angle)
+    assert most == pytest.approx(TRIAL.action.tilt, abs=1e-3)  # pyright: ignore[reportAttributeAccessIssue]
+    assert "tilted by up to 20.0 deg" in described(plan, settings)
+
+
+@pytest.mark.parametrize("action", [Lift(0), Lift.stop_and_go(0)])
+def test_a_tilt_beyond_the_robot_files_limit_is_refused_before_it_moves(action):
+    trial = Trial(LIFTED, action, RIGID)
+    robot, runner = robot_for(trial)
+    with runner, pytest.raises(InfeasibleTrialError, match=r"the action: tilt of the tool: 0\.\d+ rad; allowed"):
+        runner.run(trial)
+    assert robot.driven_after(0.0) == 0.0
+    sheet, pose = data_sheet(0.05), starting_pose(trial)
+    steep = RobotFile(limits=LimitsTable(tilt_deg=math.degrees(action.tilt) + 0.6)).settings(None, sheet)
+    plan_trial(trial, pose, steep).check(steep)
+    bare = replace(steep, limits=replace(steep.limits, tilt=action.tilt + 0.001))
+    with pytest.raises(InfeasibleTrialError, match="tilt"):
+        plan_trial(trial, pose, bare).check(bare)
+
+
+def test_the_command_names_lifts():
+    shape = LIFTED.shape
+    name = shape.grasps[1].name
+    assert action_of(shape, "lift", name) == Lift(1)
+    given = action_of(shape, "stop_and_go", name, seconds=1.5, tilt_deg=10.0)
+    assert given == Lift.stop_and_go(1, math.radians(10.0), hold=1.5)
+
+
+@pytest.mark.slow
+def test_a_lift_on_the_arm_weighs_and_finds_the_center():
+    robot, runner = robot_for(TRIAL, change=tilting)
+    with runner:
+        record = runner.run(TRIAL)
+    assert record.ok, record.reason
+    assert robot.world.grip < 0
+    truth = true_body(LIFTED)
+    found = least_squares_inertia(lift_equations(LIFTED.shape, [record])).parameters
+    assert found.mass == pytest.approx(truth.mass, rel=0.01)
+    assert_allclose(found.center_of_mass, truth.center_of_mass, atol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["load", "sensor", "tilt"])
+def test_whatever_ends_a_lift_stops_the_arm_and_holds_on(what):
+    struck: list[float] = []
+
+    def strike(robot):
+        if struck or robot.world.reading.tcp_pose.position[2] < 0.09 or robot.world.grip < 1:
+            return
+        struck.append(robot.clock.now())
+        if what == "load":
+            robot.troubles.load = np.array([80.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        elif what == "sensor":
+            robot.troubles.sensor_lost = True
+        else:
+            robot.troubles.twist_scale = 2.0
+
+    quick = Lift.stop_and_go(0, hold=0.3)
+    robot, runner = robot_for(replace(TRIAL, action=quick), strike, change=tilting)
+    with runner:
+        record = runner.run(replace(TRIAL, action=quick))
+    assert record.status == ("fault" if what == "sensor" else "limit"), record.reason
+    assert robot.world.grip == 1.0
+    assert robot.driven_after(struck[0]) < (3.0 if what == "tilt" else 0.3)
+    assert robot.world.reading.tcp_pose.position[2] > 0.08

@@ -1,7 +1,5 @@
 """Whole trials on a fake robot in simulated time, and the plans of their paths."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -22,7 +20,7 @@ from testbed.sensing.windows import steady_windows, weight_of
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool
 from testbed.trial import RIGID, Trial, TrialRunner
-from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by
+from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by, undisturbed
 from tests.fakes.robot import ACTION, robot_for, small_object
 from tests.fakes.world import BIAS
 from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench, it_comes_back_from_a_file
@@ -38,10 +36,39 @@ def run(action, support=None, **of_runner):
         return runner.run(trial), robot
 
 
+CONFORMING = Trial(OBJECT, replace(ACTION, speed=math.radians(20), duration=1.6, back=True))
+TOO_FAST = Trial(OBJECT, replace(ACTION, speed=2.0))
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory):
+    """Folder of raw records."""
+    return tmp_path_factory.mktemp("raw")
+
+
+@pytest.fixture(scope="module")
+def bench(raw) -> Bench:
+    """The fake robot for the conformance suite: commanded motion is the time for which its arm has been driven."""
+    fake, runner = robot_for(CONFORMING, seed=1, raw=raw)
+    return Bench(lambda: runner, CONFORMING, TOO_FAST, moved=lambda: float(sum(m[2] for m in fake.motion)))
+
+
+@pytest.fixture(scope="module")
+def record(bench):
+    with bench.make() as runner:
+        return runner.run(CONFORMING)
+
+
+@pytest.fixture
+def measured(action, request):
+    """Record of an action."""
+    return request.getfixturevalue("record") if action is CONFORMING.action else run(action, seed=1)[0]
+
+
 @pytest.mark.parametrize(
     ("action", "allowed"),
     [
-        (replace(ACTION, back=True), 0.1),
+        (CONFORMING.action, 0.1),
         pytest.param(Slide(0, direction=0.5, duration=1.6), 0.1, marks=pytest.mark.slow),
         pytest.param(
             Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3, marks=pytest.mark.slow
@@ -49,8 +76,8 @@ def run(action, support=None, **of_runner):
     ],
     ids=["turn", "slide", "accelerated turn"],
 )
-def test_the_robot_measures_what_the_simulation_does(action, allowed):
-    trajectory, _ = run(action, seed=1)
+def test_the_robot_measures_what_the_simulation_does(action, allowed, measured):
+    trajectory = measured
     assert trajectory.ok, trajectory.reason
     usual = SimulationRunner().run(Trial(OBJECT, action))
     for ours, theirs in zip(steady_windows(trajectory), steady_windows(usual), strict=True):
@@ -66,23 +93,11 @@ def test_the_robot_measures_what_the_simulation_does(action, allowed):
     assert trajectory.provenance["runner"] == "robot"
 
 
-@pytest.fixture(scope="module")
-def raw(tmp_path_factory):
-    """Folder of raw records."""
-    return tmp_path_factory.mktemp("raw")
-
-
-@pytest.fixture(scope="module")
-def usual(raw):
-    """The turn of `ACTION`, measured."""
-    trajectory, _ = run(ACTION, raw=raw)
-    assert trajectory.ok, trajectory.reason
-    return trajectory
-
-
 @pytest.mark.slow
-def test_the_raw_record_is_kept_with_its_bias(usual):
+def test_the_raw_record_is_kept_with_its_bias():
+    usual, _ = undisturbed()
     tare, tool = usual.mask(Phase.TARE), usual.tool
+    assert tool is not None
     held = np.array([0, 0, -tool.mass * 9.81])  # the tool points down, and so does the sensor's z axis
     assert_allclose(usual.sensor_wrench[tare].mean(axis=0)[:3], BIAS[:3] + held, atol=0.05)
     assert_allclose(usual.wrench_on_object_world[tare].mean(axis=0), 0, atol=0.05)
@@ -90,7 +105,7 @@ def test_the_raw_record_is_kept_with_its_bias(usual):
 
 
 @pytest.mark.slow
-def test_a_sensor_that_is_turned_and_negated_gives_the_same(usual):
+def test_a_sensor_that_is_turned_and_negated_gives_the_same():
     """The mount's calibration undoes what the mount does."""
     trial, about_z = Trial(OBJECT, ACTION), np.array([-1.0, -1.0, 1.0])
     robot, runner = robot_for(
@@ -106,7 +121,7 @@ def test_a_sensor_that_is_turned_and_negated_gives_the_same(usual):
     with runner:
         trajectory = runner.run(trial)
     assert trajectory.ok, trajectory.reason
-    (ours,), (theirs,) = steady_windows(trajectory), steady_windows(usual)
+    (ours,), (theirs,) = steady_windows(trajectory), steady_windows(undisturbed()[0])
     assert_allclose((ours.wrench - theirs.wrench) / [0.05, 0.05, 0.1, 0.01, 0.01, 0.003], 0, atol=1)
 
 
@@ -196,23 +211,6 @@ def test_a_plan_follows_the_object_where_it_lies():
         assert_allclose(slope, [leg.at(t).velocity for t in times], atol=2e-3)
 
 
-CONFORMING = Trial(OBJECT, replace(ACTION, speed=math.radians(20), duration=1.6, back=True))
-TOO_FAST = Trial(OBJECT, replace(ACTION, speed=2.0))
-
-
-@pytest.fixture(scope="module")
-def bench() -> Bench:
-    """The fake robot for the conformance suite: commanded motion is the time for which its arm has been driven."""
-    fake, runner = robot_for(CONFORMING)
-    return Bench(lambda: runner, CONFORMING, TOO_FAST, moved=lambda: float(sum(m[2] for m in fake.motion)))
-
-
-@pytest.fixture(scope="module")
-def record(bench):
-    with bench.make() as runner:
-        return runner.run(CONFORMING)
-
-
 @pytest.mark.parametrize("rule", RUNNER_RULES, ids=lambda f: f.__name__)
 def test_the_runner_keeps(rule, bench):
     rule(bench)
@@ -254,14 +252,13 @@ def test_a_wrong_calibration_shows_before_anything_is_touched(name):
     assert min(lowest) > 0.07 and robot.world.grip < 0
 
 
-def test_the_raw_record_has_every_frame_and_how_it_ended(usual, raw):
-    (path,) = raw.iterdir()
+def test_the_raw_record_has_every_frame_and_how_it_ended(record, raw):
+    path = raw / record.provenance["raw"]
     lines = path.read_text(encoding="utf-8").splitlines()
-    assert path.name == usual.provenance["raw"]
     assert lines[-1].split(",")[0::2] == ["end", "ok"]
     frames = np.array([line.split(",")[1:] for line in lines[4:] if line.startswith("frame,")], dtype=float)
-    kept = frames[(frames[:, 0] >= frames[-1, 0] - usual.time_s[-1] - 1e-6), 2:]
-    assert_allclose(kept[: len(usual.time_s)], usual.sensor_wrench, atol=1e-9)
+    kept = frames[(frames[:, 0] >= frames[-1, 0] - record.time_s[-1] - 1e-6), 2:]
+    assert_allclose(kept[: len(record.time_s)], record.sensor_wrench, atol=1e-9)
     assert sum(line.startswith("mark,") for line in lines[4:]) == 7
 
 
@@ -285,7 +282,7 @@ def test_a_fault_is_seen_in_every_phase_and_soon(fault, phase):
     assert outcome.raw_frames > 95 * outcome.struck
 
 
-QUICK = ("connection of the arm lost", "a twist hangs for 1 s", "SIGTERM")
+QUICK = ("connection of the arm lost", "SIGTERM")
 CASES = [pytest.param(f, id=f.name, marks=() if f.name in QUICK else pytest.mark.slow) for f in FAULTS]
 
 

@@ -1,7 +1,5 @@
 """The camera of the real robot: datagrams over a real socket, and what the runner makes of frames."""
 
-from __future__ import annotations
-
 import json
 import math
 import socket

@@ -1,20 +1,22 @@
-"""Drift: seen between two tares, whatever the tool weighs; too much of it makes a trial no data."""
-
-from __future__ import annotations
+"""Drift of the sensor's zero: drawn, stated, found in two tares, and limited on a bench."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
+from testbed.robot.config import RobotSettings
 from testbed.sensing.compensation import compensate, tare_biases
 from testbed.sensing.drift import DriftLimit, drift_of, judge_drift
 from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import PRESETS
+from testbed.sensing.presets import PRESETS, preset
 from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Phase, Trajectory
+from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
+from testbed.trial import Trial
+from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
 from tests.helpers.records import coloured_noise, moving_hand, record
 
 BEFORE = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
@@ -124,3 +126,41 @@ def test_estimators_weigh_a_record_by_what_its_tares_show_and_no_less_than_was_a
     assert change * passed / seconds < covered <= change
     quiet = judge_drift(closed(record(sensor_drift_std=assumed), BEFORE, BEFORE), DriftLimit())
     assert_allclose(quiet.sensor_drift_std, assumed)
+
+
+ASSUMED = preset("ft300s").drift_std
+
+
+def ran(creep: float, **changes) -> Trajectory:
+    """A trial whose zero creeps along y, N/s."""
+
+    def watch(bench: FakeRobot) -> None:
+        bench.troubles.drift = creep * np.eye(6)[1]
+
+    _, runner = robot_for(Trial(small_object(), ACTION), watch, **changes)
+    with runner:
+        return runner.run(Trial(small_object(), ACTION))
+
+
+def more(settings: RobotSettings) -> RobotSettings:
+    """Settings that assume a faster walk."""
+    return replace(settings, drift_std=(0.05, 0.003))
+
+
+@pytest.mark.slow
+def test_a_real_trial_says_how_its_zero_may_have_walked(tmp_path):
+    """Never nothing: what is assumed of the sensor, or what the two tares show."""
+    quiet, creeping = ran(0.0, change=more), ran(0.012)
+    for trajectory in (quiet, creeping):
+        assert trajectory.ok, trajectory.reason
+        assert (trajectory.sensor_drift_std >= ASSUMED - 1e-12).all()
+        save_trajectory(trajectory, tmp_path / "t.parquet")
+        again = load_trajectory(tmp_path / "t.parquet")
+        assert_allclose(again.sensor_drift_std, trajectory.sensor_drift_std)
+        assert "N m per root second" in again.provenance["drift"]
+    assert_allclose(quiet.sensor_drift_std, np.repeat([0.05, 0.003], 3))
+    seconds = creeping.time_s[-1] - 1.0  # between the ends of the two tares
+    assert creeping.sensor_drift_std[1] == pytest.approx(0.012 * seconds / np.sqrt(3 * seconds), rel=0.2)
+    assert creeping.sensor_drift_std[1] > 1.5 * ASSUMED[1]
+    (window,) = steady_windows(creeping)
+    assert np.sqrt(window.since_tare.mean() * window.drift_covariance[1, 1]) > 0.012 * window.since_tare.mean() / 2

@@ -1,24 +1,34 @@
-"""Sensing: the tool and a constant bias vanish, the drawn errors have the statistics that were asked for."""
-
-from __future__ import annotations
+"""Sensor errors, the tool's share of a wrench, and the reduction of a record to windows."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from testbed.actions.accelerate import Accelerate
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.frames import cross_2d, perpendicular
+from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS, Sensing, preset
-from testbed.sensing.windows import weight_of
+from testbed.sensing.windows import (
+    PARTS,
+    _from_sensor,
+    effective_samples,
+    mean_covariance,
+    part_means,
+    steady_windows,
+    weight_of,
+)
 from testbed.trajectory import Trajectory
-from tests.helpers.records import DOWN, NOISY, RATE, TOOL, moving_hand, record
+from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
 ORIENTATIONS = [DOWN, *Rotation.from_quat(np.random.default_rng(5).normal(size=(3, 4)))]
@@ -201,3 +211,224 @@ def test_a_scale_errs_by_its_own_spread(count: int):
     assert weight_of(draw_sensing(clean, preset("ideal"), 0)) == pytest.approx(1.8, abs=1e-12)
     assert np.mean(read) == pytest.approx(1.8, abs=4 * 0.002 / np.sqrt(400))
     assert np.std(read) == pytest.approx(0.002, rel=0.15)
+
+
+WRENCH = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
+GRASP, PIVOT = np.array([0.05, -0.02]), np.array([-0.03, 0.08])
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(6)
+
+
+@pytest.mark.parametrize("speed", [0.5, -0.5])
+@pytest.mark.parametrize("pivot", [PIVOT, GRASP])
+def test_a_turn_gives_its_constant_wrench_and_its_motion_across_and_inwards(speed: float, pivot: np.ndarray):
+    x, y = GRASP - pivot
+    (window,) = steady_windows(turn_record(WRENCH, grasp=GRASP, pivot=pivot, speed=speed))
+    assert_allclose(window.wrench, WRENCH, atol=1e-12)
+    assert_allclose(window.covariance, 0, atol=1e-20)
+    assert_allclose(window.twist, [-speed * y, speed * x, speed], atol=1e-12)
+    assert_allclose(window.acceleration, [-(speed**2) * x, -(speed**2) * y, 0], atol=1e-12)
+    assert window.tcp_height == pytest.approx(0.015)
+
+
+def test_each_stretch_of_constant_acceleration_is_its_own_window():
+    segment = np.repeat([0, -1, 1, -1], 100)
+    turn = turn_record(WRENCH, grasp=GRASP, pivot=GRASP, acceleration=0.7, segment=segment, action=Accelerate(3))
+    windows = steady_windows(turn)
+    assert [window.grasp for window in windows] == [3, 3]
+    assert_allclose([window.acceleration for window in windows], np.tile([0, 0, 0.7], (2, 1)), atol=1e-10)
+    assert windows[1].twist[2] - windows[0].twist[2] == pytest.approx(0.7 * 2.0)
+
+
+def joined(first: Trajectory, second: Trajectory) -> Trajectory:
+    """One record of two stretches, one after the other in the same grasp."""
+    count, step = len(first.time_s), first.time_s[1] - first.time_s[0]
+    names = [name for name, values in vars(first).items() if np.shape(values)[:1] == (count,)]
+    series = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
+    series["time_s"] = np.concatenate([first.time_s, first.time_s[-1] + step + second.time_s])
+    series["segment"] = np.repeat([0, 1], [count, len(second.time_s)])
+    return dataclasses.replace(first, **series)
+
+
+def test_a_turn_there_and_back_is_two_windows_of_opposite_turn_rate():
+    friction = np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.4])
+    held = {"grasp": GRASP, "pivot": PIVOT, "action": Rotate(2, back=True)}
+    there = turn_record(WRENCH + friction, speed=0.5, **held)
+    back = turn_record(WRENCH - friction, start=there.object_pose[-1, 2], speed=-0.5, **held)
+    windows = steady_windows(joined(there, back))
+    assert [window.grasp for window in windows] == [2, 2]
+    assert [window.twist[2] for window in windows] == pytest.approx([0.5, -0.5])
+    assert_allclose(windows[1].twist, -windows[0].twist, atol=1e-12)
+    assert_allclose(windows[1].acceleration, windows[0].acceleration, atol=1e-12)
+    assert_allclose(windows[0].wrench, WRENCH + friction, atol=1e-12)
+    assert_allclose(windows[1].wrench, WRENCH - friction, atol=1e-12)
+
+
+def hovering(yaw: float, *, tilt: float = 0.0) -> Trajectory:
+    """A hand at rest, its sensor down and turned with an object at another yaw."""
+    std = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
+    turned = Rotation.from_euler("zx", [yaw + 0.4, tilt]) * DOWN
+    return record(orientation=turned, object_pose=np.tile([0.3, 0.2, yaw], (400, 1)), sensor_bias_std=std)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.9, -2.3])
+@pytest.mark.parametrize("tilt", [0.0, 0.2])
+def test_the_bias_covariance_is_made_of_the_responses_to_unit_biases(yaw: float, tilt: float):
+    hand = hovering(yaw, tilt=tilt)
+    resting = compensate(hand).wrench_on_object_world[-1]
+    after = np.arange(400)[:, None] >= 100
+    expected = np.zeros((6, 6))
+    for unit, std in zip(np.eye(6), hand.sensor_bias_std, strict=True):
+        biased = dataclasses.replace(hand, sensor_wrench=hand.sensor_wrench + after * unit)
+        response = compensate(biased).wrench_on_object_world[-1] - resting
+        for part in (slice(0, 2), slice(3, 5)):
+            response[part] = rotation_2d(-yaw) @ response[part]
+        expected += std**2 * np.outer(response, response)
+    move = _from_sensor(hand)
+    assert_allclose(move @ np.diag(hand.sensor_bias_std**2) @ move.T, expected, atol=1e-12)
+    (window,) = steady_windows(hand)
+    assert_allclose(window.bias_covariance, expected, atol=1e-12)
+
+
+def test_the_bias_covariance_of_a_sensor_straight_above_the_grasp():
+    # sensor z down and turned by a right angle: its x and y are the object's y and x
+    turned = Rotation.from_euler("z", 0.9 - np.pi / 2) * DOWN
+    std = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
+    tool = dataclasses.replace(TOOL, tcp=np.array([0.0, 0.0, 0.2]))
+    pose = np.tile([0.3, 0.2, 0.9], (400, 1))
+    (window,) = steady_windows(record(orientation=turned, object_pose=pose, sensor_bias_std=std, tool=tool))
+    expected = np.array([0.2, 0.1, 0.3, 0.0, 0.0, 0.03]) ** 2
+    expected[3:5] = [0.02**2 + 0.2**2 * 0.1**2, 0.01**2 + 0.2**2 * 0.2**2]
+    assert_allclose(np.diag(window.bias_covariance), expected, atol=1e-12)
+    # a force off the axis of the tool comes with its lever: 0.2 m below the sensor
+    assert abs(window.bias_covariance[0, 4]) == pytest.approx(0.2 * 0.2**2)
+    assert abs(window.bias_covariance[1, 3]) == pytest.approx(0.2 * 0.1**2)
+
+
+def test_the_bias_covariance_of_a_scale_is_its_own():
+    hand = dataclasses.replace(hovering(0.9), tool=None)
+    assert_allclose(_from_sensor(hand), np.eye(6), atol=1e-15)
+
+
+def test_a_slide_has_the_twist_of_its_direction_in_the_object():
+    heading, yaw = 0.4, 1.1
+    velocity = np.array([np.cos(heading + yaw), np.sin(heading + yaw)]) * 0.05
+    count = 400
+    (window,) = steady_windows(
+        record(
+            action=Slide(0, direction=heading),
+            object_pose=np.tile([0, 0, yaw], (count, 1)),
+            tcp_velocity=np.tile([*velocity, 0, 0, 0, 0], (count, 1)),
+        )
+    )
+    assert_allclose(window.twist, [0.05 * np.cos(heading), 0.05 * np.sin(heading), 0], atol=1e-12)
+    assert_allclose(window.acceleration, 0, atol=1e-12)
+
+
+def test_start_and_end_of_a_stretch_are_left_out():
+    wrench = np.tile(WRENCH, (400, 1))
+    wrench[:99] += 100.0
+    wrench[-5:] -= 100.0
+    (window,) = steady_windows(turn_record(wrench, grasp=GRASP, pivot=PIVOT))
+    assert_allclose(window.wrench, WRENCH, atol=1e-12)
+
+
+@pytest.mark.parametrize("lag1", [0.0, 0.3, 0.8])
+def test_effective_samples_of_autoregressive_noise(lag1: float, rng: np.random.Generator):
+    count = 4000
+    size = effective_samples(coloured_noise(count, 100, lag1, rng))
+    assert size.mean() == pytest.approx(count * (1 - lag1) / (1 + lag1), rel=0.1)
+
+
+def test_effective_samples_stay_between_one_and_all(rng: np.random.Generator):
+    count = 200
+    samples = np.column_stack(
+        [np.full(count, 0.25), np.arange(count), np.where(np.arange(count) % 2, 1.0, -1.0), rng.normal(size=count)]
+    )
+    size = effective_samples(samples)
+    assert size[0] == count  # a constant has no scatter to share out
+    assert size[1] < 5
+    assert size[2] == count
+    assert (size >= 1).all() and (size <= count).all()
+
+
+@pytest.mark.parametrize("lag1", [0.0, 0.5])
+def test_the_covariance_of_a_mean_is_what_repetition_shows(lag1: float, rng: np.random.Generator):
+    repeats, count = 400, 800
+    mixing = np.array([[1.0, 0.0], [0.6, 0.8]])
+    noise = coloured_noise(count, 2 * repeats, lag1, rng).reshape(count, repeats, 2) @ mixing.T
+    claimed = np.mean([mean_covariance(noise[:, i]) for i in range(repeats)], axis=0)
+    seen = np.cov(noise.mean(axis=0), rowvar=False)
+    assert_allclose(claimed, seen, rtol=0.2)
+
+
+def test_standardised_window_means_have_unit_spread(rng: np.random.Generator):
+    scores = []
+    for _ in range(60):
+        noisy = WRENCH + coloured_noise(1900, 6, 0.5, rng)
+        (window,) = steady_windows(turn_record(noisy, grasp=GRASP, pivot=PIVOT, count=1900))
+        scores.append((window.wrench - WRENCH) / np.sqrt(np.diag(window.covariance)))
+    assert np.std(scores) == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_scale_gives_a_weight():
+    assert weight_of(weighing()) == pytest.approx(1.8)
+
+
+def weighing(**changes: Any) -> Trajectory:
+    reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (5, 1))
+    return record(5, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading, **changes)
+
+
+FAILED: list[dict[str, Any]] = [{"status": status, "reason": "because"} for status in ("slipped", "limit", "fault")]
+GAP = turn_record(WRENCH, grasp=GRASP, pivot=PIVOT, segment=np.repeat([0, 2], 200))
+REFUSED = [
+    (steady_windows, GAP, "Trajectory.segment", "'no sample of stretch 1'; allowed: .*numbered from 0"),
+    (steady_windows, turn_record(WRENCH, grasp=GRASP, pivot=PIVOT, count=110), "trajectory", "at least 10 after"),
+    (steady_windows, record(tare=400), "trajectory", "STEADY"),
+    (steady_windows, weighing(), "trajectory.action", "weight_of"),
+    *((steady_windows, record(**failed), "trajectory.status", "because") for failed in FAILED),
+    (weight_of, record(), "trajectory", "Weigh"),
+    *((weight_of, weighing(**failed), "trajectory", "Weigh with status ok") for failed in FAILED),
+]
+
+
+@pytest.mark.parametrize(("read", "trajectory", "field", "allowed"), REFUSED)
+def test_a_record_without_what_is_read_is_refused(read, trajectory: Trajectory, field: str, allowed: str):
+    with pytest.raises(InvalidValueError, match=allowed) as refused:
+        read(trajectory)
+    assert refused.value.field == field
+
+
+def test_a_load_that_wanders_is_no_noise(rng: np.random.Generator):
+    wander = np.outer(np.sin(np.linspace(0, 2, 1900)), np.ones(6))
+    noise = 0.1 * coloured_noise(1900, 6, 0.3, rng)
+    (still,) = steady_windows(turn_record(WRENCH + noise, grasp=GRASP, pivot=PIVOT, count=1900))
+    (moved,) = steady_windows(turn_record(WRENCH + noise + wander, grasp=GRASP, pivot=PIVOT, count=1900))
+    assert_allclose(moved.covariance, still.covariance, rtol=0.05, atol=0.05 * still.covariance[0, 0])
+
+
+def test_the_tare_adds_its_own_error_and_the_walk_counts_from_it():
+    noisy = np.zeros((400, 6))
+    noisy[:100, 0] = np.tile([0.1, -0.1], 50)
+    steps = np.array([0.2, 0, 0, 0, 0, 0])
+    held = {"sensor_wrench": noisy, "sensor_bias_std": np.zeros(6), "sensor_drift_std": steps}
+    (window,) = steady_windows(record(**held))
+    kept = np.flatnonzero(np.arange(400) >= 200)[:-5]
+    tared = np.arange(33, 100).mean() / RATE
+    assert_allclose(window.since_tare, kept[[0, -1]] / RATE - tared)
+    assert window.bias_covariance[0, 0] == pytest.approx(0.01 / 67, rel=0.1)
+    assert_allclose(np.trace(window.drift_covariance[:3, :3]), 0.04)
+
+
+@pytest.mark.parametrize("count", [10, 34, 35, 47, 495])
+def test_parts_of_a_window_are_as_long_as_each_other(count):
+    ramp = np.column_stack([np.arange(count) + 0.5, np.ones(count)])
+    parts = part_means(ramp)
+    assert_allclose(parts.mean(axis=0), ramp.mean(axis=0))
+    assert_allclose(parts[:, 1], 1.0)
+    # a sample on a border is in the middle of its own step, whichever part has how much of it
+    assert_allclose(np.diff(parts[:, 0]), count / PARTS, atol=0.5 * PARTS / count)

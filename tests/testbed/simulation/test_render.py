@@ -1,7 +1,5 @@
 """Playback and pictures of a record: everything is where the record has it."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,8 +1,7 @@
 """Trials in simulation, compared with the true contact forces and with Coulomb's law."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -24,7 +23,7 @@ from testbed.simulation.controller import Servo
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Phase
-from testbed.trial import OWN_WEIGHT, RIGID, Trial
+from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.helpers.blocks import blocks
 
 RUNNER = SimulationRunner()
@@ -64,10 +63,16 @@ def missing(obj: ObjectModel, window: SteadyWindow, rigid: bool = False) -> np.n
     return (window.wrench[[0, 1, 5]] - coulomb(obj, window, rigid)) / scale
 
 
+@cache
+def turned(support: Support):
+    """Record of a turn of L2, and the contact forces."""
+    return RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support))
+
+
 @pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
 def test_a_turn_agrees_with_contact_forces_and_coulombs_law(support):
     obj = load_object("L2")
-    trajectory, contacts = RUNNER.run_with_contacts(Trial(obj, TURN, support))
+    trajectory, contacts = turned(support)
     assert trajectory.ok
     measured = compensate(trajectory)
     (window,) = steady_windows(measured)
@@ -107,7 +112,7 @@ def test_the_hand_closes_where_the_grasp_is_and_the_object_stays_in_it():
 
 @pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
 def test_the_feet_push_at_the_height_of_the_table(support):
-    _, contacts = RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support))
+    _, contacts = turned(support)
     load = contacts.force_on_object[:, :, 2]
     assert_allclose(
         (load * contacts.position[:, :, 2]).sum() / load.sum(), 0.0, atol=1.5e-4

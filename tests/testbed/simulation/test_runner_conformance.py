@@ -1,7 +1,5 @@
 """The conformance suite on simulation and recordings; and it catches every breach."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

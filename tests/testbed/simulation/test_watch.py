@@ -1,7 +1,5 @@
 """The interactive viewer: a live trial is the runner's, a replay the record's; without a display a line says so."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import os

@@ -1,7 +1,5 @@
 """heft learn: one file in the end, from the examples that are there."""
 
-from __future__ import annotations
-
 import pytest
 
 from estimators.learned.checkpoint import Checkpoint, Origin, save_examples

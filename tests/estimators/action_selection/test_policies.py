@@ -1,13 +1,14 @@
-"""The rank-driven policy, and the rank that turns can have."""
-
-from __future__ import annotations
+"""Policies by rank, of stop-and-go lifts and of random pushes."""
 
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from estimators.action_selection.candidates import ActionFamily
+from estimators.action_selection.pushes import TRIES, RandomPushes, random_pushes
 from estimators.action_selection.rank import (
     RANK_DRIVEN,
     RankDriven,
@@ -15,12 +16,18 @@ from estimators.action_selection.rank import (
     held_out_grasp,
     predicted_rank,
 )
+from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy
-from estimators.testing.analytic_world import analytic_trial
+from estimators.testing.analytic_world import analytic_trial, record
+from scenarios.policies import Policy
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
+from testbed.actions.lift import Lift
+from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
+from testbed.simulation.settings import SimulationSettings
 
 
 def test_the_policy_asks_until_the_rank_is_full():
@@ -122,3 +129,88 @@ def test_a_grasp_is_held_out_only_where_the_others_show_as_much(name):
         left = [Rotate(grasp) for grasp in grasps if grasp != spared]
         assert predicted_rank(shape, left) == predicted_rank(shape, [Rotate(grasp) for grasp in grasps])
     assert held_out_grasp(shape, grasps[:3], 0) is None, "three are left for the trials"
+
+
+L2 = load_object("L2").shape
+
+
+def actions_of(policy, refused=(), failed=()):
+    done = []
+    while (action := policy.next(L2, done)) is not None:
+        assert action not in refused
+        status = {"status": "slipped", "reason": "it slipped"} if action in failed else {}
+        done.append(replace(record(action=action), **status))
+    return [t.action for t in done]
+
+
+def test_it_lifts_by_the_innermost_grasps_and_goes_on_to_others():
+    inner = sorted(range(len(L2.grasps)), key=lambda g: float(np.linalg.norm(L2.grasps[g].position)))
+    lifts = [Lift.stop_and_go(g) for g in inner]
+    assert actions_of(StopAndGo(lifts=2)) == lifts[:2]
+    assert actions_of(StopAndGo(lifts=1), failed=lifts[:1]) == lifts[:2]
+    assert actions_of(StopAndGo(lifts=1, refused={lifts[0]: "no"}), refused=lifts[:1]) == lifts[1:2]
+    assert actions_of(StopAndGo(lifts=99)) == lifts
+    turns = RankDriven(1, accelerated=1)
+    both = actions_of(StopAndGo(lifts=1, before=turns))
+    assert both == [*actions_of(turns), lifts[0]]
+
+
+def test_a_scenario_asks_for_lifts():
+    settings = SimulationSettings()
+    assert Policy(kind="stop_and_go").build((0, 1), L2, settings) == StopAndGo(2, (0, 1))
+    ours = Policy(lifts=1).build((0, 1), L2, settings)
+    assert ours == StopAndGo(1, (0, 1), Policy().build((0, 1), L2, settings))
+    assert Policy(lifts=3).expected_trials == Policy().expected_trials + 3
+    assert Policy(kind="stop_and_go", held_out=0).expected_trials == 3
+    for kind in ("greedy", "package:Class"):
+        with pytest.raises(ValueError, match="lifts"):
+            Policy(kind=kind, lifts=1)
+    assert Policy(kind="greedy", assumed_support="rigid", lifts=1).lifts_last is None
+
+
+def test_lifts_that_stop_and_go_are_among_the_candidates():
+    drawn = ActionFamily(lifts=True).sample(L2, range(3), 2000, 0)
+    lifts = [action for action in drawn if isinstance(action, Lift)]
+    assert {Lift(g) for g in range(3)} | {Lift.stop_and_go(g) for g in range(3)} <= set(lifts)
+    assert {action.poses for action in lifts} >= {2, 4}
+
+
+F2 = load_object("F2").shape
+
+
+def test_random_pushes_meet_the_whole_outline_and_are_repeatable():
+    found = random_pushes(F2, 200, 4)
+    assert found[:20] == random_pushes(F2, 20, 4) != random_pushes(F2, 20, 5)
+    ways = {tuple(push.face(F2).normal.round().tolist()) for push in found}  # each has a face before it
+    assert len(ways) == 4 and len({push.face(F2).group for push in found}) == F2.n_m
+    assert np.abs([push.curvature for push in found]).max() > 1
+
+
+def test_the_policy_tries_others_where_one_is_refused_or_fails_and_ends():
+    refused, made = {}, []
+    policy = RandomPushes(4, seed=1, refused=refused)
+    while (action := policy.next(F2, made)) is not None:
+        if len(refused) < 2:
+            refused[action] = "reach"
+        else:
+            made.append(SimpleNamespace(action=action, ok=len(made) != 1))
+    assert len(made) == 5 and len({*refused, *(t.action for t in made)}) == 7
+    hopeless = RandomPushes(2, refused={action: "no" for action in random_pushes(F2, TRIES * 2, 0)})
+    assert hopeless.next(F2, []) is None
+
+
+@pytest.mark.parametrize(("grasps", "pushed"), [(None, False), ((0,), True)], ids=["enough", "too few"])
+def test_pushes_follow_turns_that_leave_masses_open(grasps: tuple[int, ...] | None, pushed: bool):
+    shape, made = load_object("L2").shape, []
+    policy = RandomPushes(2, before=replace(RANK_DRIVEN["reversed_pairs"], accelerated=1, pivots=2, grasps=grasps))
+    while (action := policy.next(shape, made)) is not None:
+        made.append(SimpleNamespace(action=action, ok=True))
+    kinds = [type(t.action) for t in made]
+    assert kinds[:3] == [Accelerate, Rotate, Rotate] and kinds.count(Push) == 2 * pushed
+    assert not pushed or kinds[-2:] == [Push, Push]
+
+
+def test_pushes_follow_where_every_turn_is_refused():
+    refused: dict[Action, str] = {Accelerate(0): "reach"}
+    before = replace(RANK_DRIVEN["reversed_pairs"], grasps=(0,), refused=refused)
+    assert isinstance(RandomPushes(2, refused=refused, before=before).next(F2, []), Push)

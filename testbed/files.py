@@ -212,7 +212,7 @@ def read_table(data: bytes) -> pa.Table:
 
 
 def unless_damaged(read: Callable[[], T], then: str) -> T | None:
-    """What is read; None where a file of it is damaged, with a warning that names it and says what follows."""
+    """Result of reading; None if a file is damaged, with a warning that names it and the consequence."""
     try:
         return read()
     except DamagedFileError as error:

@@ -27,7 +27,7 @@ class InertialEstimate:
     misfit: float
     """Squared residual over its variance, mean over degrees of freedom."""
     message: str = ""
-    """What is not seen, or not physical."""
+    """Unobserved or unphysical parts of the answer."""
     part_mass: Float[np.ndarray, "n"] | None = None
     """Mass of each part, kg; None by methods that know no parts."""
     part_draws: Float[np.ndarray, "N n"] | None = None

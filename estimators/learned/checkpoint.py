@@ -79,7 +79,7 @@ class Checkpoint:
     loss: float
     """Negative log density of the logarithm of a group's load, nats, on objects that were not trained on."""
     first: float
-    """That of the first answer, a normal distribution with its errors."""
+    """Loss of the first answer, a normal distribution with its errors."""
     core_seconds: float
     """CPU time of examples and training."""
 

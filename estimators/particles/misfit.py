@@ -90,7 +90,7 @@ class Misfit:
 
 
 def inertia_in_words(part: float) -> str:
-    """What to check where accelerated turns show another inertia than the masses have, `part` of it."""
+    """Checks to make where accelerated turns show `part` of the inertia of the masses."""
     found = f"accelerated turns show {100 * part:.0f} % of the inertia that these masses have"
     return f"{found}: weigh the object again, check the torque's unit and the object's size, or ask support_aware"
 

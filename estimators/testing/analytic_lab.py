@@ -253,7 +253,7 @@ def flawed_trial(
     to_sensor = move_wrench(to_sensor, -TOOL.tcp)
     read = rotate_wrench(np.broadcast_to(draw.mounting, axes.shape), to_sensor) @ draw.response.T
     read = read + BIAS * rng.standard_normal(6) + NOISE * (rate / RATE) ** 0.5 * rng.standard_normal((len(time), 6))
-    told = rotate_wrench(axes, move_wrench(read, TOOL.tcp))
+    recorded = rotate_wrench(axes, move_wrench(read, TOOL.tcp))
     origin = np.einsum("nij,j->ni", out, -grasp.position)
     values = {
         "object_pose": pose_from_point(hand, grasp.position, yaw),
@@ -272,7 +272,7 @@ def flawed_trial(
         phase=np.where(segment >= 0, Phase.STEADY, Phase.RAMP),
         segment=segment,
         sensor_wrench=read,
-        wrench_on_object_world=told,
+        wrench_on_object_world=recorded,
         sensor_bias_std=BIAS,
         setup=setup,
         **values,

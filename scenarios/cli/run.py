@@ -287,7 +287,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 
 def _state(manifest: dict[str, Any], *, running: bool) -> str:
-    """Whether a folder's last run is over, as its manifest says."""
+    """True if the last run of a folder is over, by its manifest."""
     if running:
         return "a run is writing here now"
     if "finished" not in manifest:  # of an earlier version
@@ -296,7 +296,7 @@ def _state(manifest: dict[str, Any], *, running: bool) -> str:
 
 
 def _of(done: int, expected: int | None) -> str:
-    """How many are done, and of how many as long as there are more to come."""
+    """Number done, and the total as long as there are more to come."""
     return f"{done} done of about {expected}" if expected and expected > done else f"{done} done"
 
 

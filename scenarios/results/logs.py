@@ -109,7 +109,7 @@ def _place(path: Path, entry: LogMap) -> str:
 
 
 def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
-    """What a log holds; every line of an error begins with the file that is wrong."""
+    """Content of a log; every line of an error begins with the file that is wrong."""
     try:
         return read()
     except HeftError as error:

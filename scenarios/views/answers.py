@@ -42,7 +42,7 @@ def write_answers(folder: Path, groups: Sequence[Sequence[Answer]]) -> list[Path
 
 
 def support_verdict(estimate: Estimate) -> tuple[str, str]:
-    """What the trials say of the support: in a word or two, and in a sentence where they were asked."""
+    """Verdict of the trials on the support: in a word or two, and in a sentence where it was tested."""
     numbers = estimate.diagnostics
     if any(name not in numbers for name in EVIDENCE):
         return ("assumed" if estimate.assumes else "not tested"), ""

@@ -1,4 +1,4 @@
-"""What to do next after an estimate from measured trials: a sentence."""
+"""Next step after an estimate from measured trials, as a sentence."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class _Known:
 
 
 def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
-    """What to do after one answer, in a sentence: look for an error, weigh again, make one more trial, or stop.
+    """Next step after one answer, in a sentence: look for an error, weigh again, make one more trial, or stop.
 
     The trial is the one that teaches most a second, of those that the planner considers; whether the arm reaches it is
     not checked.
@@ -95,7 +95,7 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
 def _doubt(
     folder: Path, found: Estimate, shape: ObjectShape, weighing: Trajectory, trials: Sequence[Trajectory]
 ) -> str:
-    """What is wrong with the trials: their motion, the weight, or what the answer leaves of them; else empty."""
+    """Error of the trials (motion, weight or residual), in words; empty if there is none."""
     if wrong := wrong_motion(shape, trials):
         return f"the trials are not what their actions say: {'; '.join(wrong)}"
     weight = check_weight(shape, weight_of(weighing), trials, found)

@@ -18,7 +18,7 @@ from testbed.importers.phases import RATE
 LONGEST_DELAY = 0.2
 """Largest delay that is found [s]."""
 NO_DELAY = "not estimated, for want of an accelerated turn"
-"""What is said of the delay between separate streams that nothing ties."""
+"""Warning about the delay between separate streams that nothing ties."""
 UNSURE = 0.005
 """Standard deviation above which a delay is reported and not corrected [s]."""
 _MODEL_ERROR = 0.0015

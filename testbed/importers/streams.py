@@ -1,4 +1,4 @@
-"""What a log holds as streams, each by its own stamps: wrench, hand, joints, velocity, frames of a camera."""
+"""Streams of a log, each by its own stamps: wrench, hand, joints, velocity, frames of a camera."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": "
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """What a log holds, each by its own stamps from one epoch."""
+    """Streams of a log, each by its own stamps from one epoch."""
 
     wrench: Series
     pose: Pose
@@ -51,7 +51,7 @@ class Streams:
     left_out: str = ""
     """Samples of the wrench that measured nothing, in words."""
     seen: tuple[Pose, ...] = ()
-    """What a camera sees of each link; it may cover less than the rest."""
+    """Poses of each link from a camera; they may cover less than the rest."""
 
     @classmethod
     def of(cls, source: Log, table: Mapping, folder: Path) -> Streams:
@@ -212,7 +212,7 @@ def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:
 
 
 def _seen(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
-    """What the camera sees of each link, by the clock of the source."""
+    """Poses of each link from the camera, by the clock of the source."""
     if table.camera is None:
         return ()
     camera = table.camera

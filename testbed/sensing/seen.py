@@ -160,7 +160,7 @@ def _beside(gap: float) -> str:
 
 
 def _scatter(record: Trajectory, camera: PoseStream) -> str:
-    """That the frames scatter about a smooth motion by much more than stated."""
+    """Message if the frames scatter about a smooth motion by much more than stated."""
     moved = record.time_s[_moving(record)]
     inside = (camera.time_s >= moved[0]) & (camera.time_s <= moved[-1])
     for poses in camera.poses[inside].transpose(1, 0, 2):

@@ -50,7 +50,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What one method says of one object."""
+    """Answer of one method on one object."""
 
     object: str
     support: str
@@ -66,7 +66,7 @@ class Answer:
     misfit: float
     """Mean squared residual in standard errors; NaN where the method gives none."""
     verdict: str
-    """What the trials say of the support, in a word or two."""
+    """Verdict of the trials on the support, in a word or two."""
     evidence: str
     """The same in a sentence; empty where it is not tested."""
 

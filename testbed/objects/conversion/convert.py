@@ -39,13 +39,13 @@ class Converted:
     parts: tuple[trimesh.Trimesh, ...]
     """Closed parts on the table z = 0 [m], from left to right."""
     pose: Pose
-    """How it lies."""
+    """Orientation on the table."""
     grasps: tuple[GraspPlace, ...]
     """Grasps, the first nearest the middle."""
     cell: float
     """Side of a cell [m]."""
     notes: tuple[str, ...]
-    """What was found and mended, in words."""
+    """Defects found and mended, in words."""
 
     def model(self, masses: Sequence[float] = (), friction: float = 0.5) -> ObjectModel:
         """The object with these masses, as `masses` takes them; without any, of one kilogram, marked as not given."""

@@ -97,7 +97,7 @@ def labelled(surface: Surface, path: Path) -> Surface:
 
 
 def _clustered(surface: Surface, how: str) -> list[float]:
-    """Where planes cut a surface into clusters of even width along its length: the least sum of squares, exactly."""
+    """Cuts of a surface into clusters of even width along its length: the least sum of squares, exactly."""
     given = how.removeprefix("clusters").removeprefix(":") or str(CLUSTERS)
     if not (given.isdigit() and 2 <= int(given) <= MOST_PARTS):
         raise InvalidValueError("parts", how, f"clusters, or clusters:2 to clusters:{MOST_PARTS}")
@@ -122,7 +122,7 @@ def _clustered(surface: Surface, how: str) -> list[float]:
 
 
 def _shares(how: str) -> list[float]:
-    """Where planes cut, as parts of the length."""
+    """Positions of the cuts, as parts of the length."""
     try:
         if "," not in how and "." not in how:
             count = int(how)
@@ -172,7 +172,7 @@ def _by_labels(surface: Surface) -> list[Manifold]:
 
 
 def _region(body: Manifold, trees: list[KDTree]) -> Manifold:
-    """Where the points of the first tree are nearer than any others', as a body about another one."""
+    """Region in which the points of the first tree are nearer than any others', as a body about another one."""
     box = np.array(body.bounding_box())
     low, high = box[:3], box[3:]
     step = float((high - low).max()) / NODES

@@ -75,7 +75,7 @@ def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
 
 
 def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
-    """What is surely wrong in trials of an object, in sentences.
+    """Certain errors of the trials of an object, in sentences.
 
     All findings of `check_motion`, and one of each kind of `check_trial`, without what a weak drag leaves open.
     """

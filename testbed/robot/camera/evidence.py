@@ -64,7 +64,7 @@ def contact_of(record: Trajectory) -> tuple[float, float]:
 
 
 def left_early(record: Trajectory) -> str:
-    """That the fingertip of a push left the object before its path ended, in words; empty if it did not."""
+    """Message if the fingertip of a push left the object before its path ended; empty if it did not."""
     end = record.time_s[record.segment >= 0][-1]
     met, left = contact_of(record)
     if end - left <= 2 * TRIM_END:

@@ -119,7 +119,7 @@ def stand_by(pipe: int, mover: int) -> None:
 
 
 def _begun(line: Line, begin: Callable[[Configuration], Any]) -> Any:
-    """What `begin` makes of the configuration on the first line, or None after its failure, which is reported."""
+    """Result of `begin` with the configuration on the first line; None after a failure, which is reported."""
     try:
         return begin(Configuration(**json.loads(sys.stdin.readline())))
     except ImportError as error:

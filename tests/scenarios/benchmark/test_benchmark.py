@@ -98,7 +98,7 @@ def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
 
 
 def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch, capsys):
-    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_made:Even", "--workers", "0", "--output"]
+    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--output"]
     command += [str(tmp_path), "--benchmark", str(published.benchmark.folder)]
     main(command)
     (path,) = tmp_path.glob("validation/*.csv")
@@ -117,7 +117,7 @@ def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch
 
 
 def test_a_method_that_fails_has_its_reason_and_an_empty_answer(published, tmp_path, capsys):
-    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_made:Broken", "--workers", "0", "--output"]
+    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Broken", "--workers", "0", "--output"]
     with pytest.raises(SystemExit) as ended:
         main([*command, str(tmp_path), "--benchmark", str(published.benchmark.folder)])
     assert ended.value.code == 1 and "no idea" in capsys.readouterr().out

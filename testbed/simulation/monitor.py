@@ -1,4 +1,4 @@
-"""Monitor of a running trial: slip, saturation, speed, divergence and outcome; and a recorder of contact forces."""
+"""Monitor of a running trial (slip, tipping, saturation, speed, divergence) and a recorder of contact forces."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ IMPOSSIBLE_SPEED = 20.0
 """Multiple of its speed limit that no joint can reach: the simulation has diverged."""
 SATURATION_TIME = 0.1
 """Longest time of a joint at its working torque [s]."""
+TIPPED = math.radians(5.0)
+"""Tilt of a pushed object that tips over [rad]; one that slides on its feet tilts by 1 to 2 degrees."""
 LEFT = 0.1
 """Time without contact after which a fingertip has left the object [s]."""
 _FAULTS = [
@@ -47,7 +49,7 @@ class Outcome:
 
 
 class Monitor:
-    """Watch for slip, saturation, speed and divergence at every tick of one trial.
+    """Watch for slip, tipping, saturation, speed and divergence at every tick of one trial.
 
     Slip is planar on the table, and spatial in the air, where the object may also fall or tilt.
     """
@@ -102,7 +104,16 @@ class Monitor:
             return self._end(
                 "limit", f"speed: joint {joint + 1} at {fastest:.2f} of its limit at {tick / self._rate:.2f} s"
             )
-        return self._left(data, tick) if self._tip is not None else self._held[tick] and self._slipped(data, tick)
+        if self._tip is not None:
+            return self._tipped(data, tick) or self._left(data, tick)
+        return self._held[tick] and self._slipped(data, tick)
+
+    def _tipped(self, data: mujoco.MjData, tick: int) -> bool:
+        """True once a pushed object tips over."""
+        upright = data.xmat[self._body][8]
+        if upright > math.cos(TIPPED):
+            return False
+        return self._end("slipped", f"the object tipped by {math.degrees(TIPPED):.0f} deg at {tick / self._rate:.2f} s")
 
     def _left(self, data: mujoco.MjData, tick: int) -> bool:
         """True once the fingertip of a push has left the object."""

@@ -18,6 +18,9 @@ from testbed.objects.model import GRAVITY, STROKE
 from testbed.sensing.push_windows import push_samples, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import world
+from tests.helpers.blocks import blocks
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 RUNNER = SimulationRunner()
@@ -94,6 +97,17 @@ def test_a_push_that_loses_the_object_keeps_what_it_had():
     assert lost.ok and lost.reason.startswith("the fingertip left the object")
     assert len(push_windows(draw_sensing(lost, preset("ideal"), 0))) >= 1
     assert lost.figures["contact_s"] < 4.0
+
+
+def test_a_push_that_tips_the_object_is_no_data():
+    """On few points of contact, pushed into a corner, a row of light and heavy blocks goes over its edge."""
+    masses = [0.468, 0.114, 0.359, 0.059, 0.433, 0.34]
+    tips = blocks(["01111", "11000"], masses, 0.59)
+    push = Push((-0.016667, -0.05024), -2.963, curvature=0.883, speed=0.03)
+    draw = WorldDraw.of(world("lab"), tips, 2, "tipping")
+    tipped = RUNNER.run_clean(Trial(tips, push, world=draw))
+    assert tipped.status == "slipped" and tipped.reason.startswith("the object tipped by 5 deg at ")
+    assert len(tipped.time_s) < len(RUNNER.run_clean(Trial(tips, push)).time_s)
 
 
 def test_what_cannot_be_pushed_is_refused():

@@ -198,7 +198,8 @@ def test_errors_of_a_camera_count():
 
 
 @slow
-def test_every_method_takes_links_or_says_why_not():
+def test_every_method_takes_links_or_says_why_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # whatever network lies in the user's
     trials = trials_of(TWO)[:2]
     for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling"}:
         found = build_method(name, {}).estimate(TWO.shape, TWO.total_mass, trials, 0)

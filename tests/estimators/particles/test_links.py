@@ -198,10 +198,10 @@ def test_errors_of_a_camera_count():
 
 
 @slow
-def test_every_method_takes_links_or_says_why_not(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # whatever network lies in the user's
+def test_every_method_takes_links_or_says_why_not():
     trials = trials_of(TWO)[:2]
-    for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling"}:
+    # `learned` needs a trained file first: its own tests have its refusals
+    for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling", "learned"}:
         found = build_method(name, {}).estimate(TWO.shape, TWO.total_mass, trials, 0)
         knows = name in ("hidden_states", "bayes", "support_aware", "least_squares")
         assert (found.status == "assumption_violated") == (not knows), name

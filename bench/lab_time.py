@@ -10,22 +10,18 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
 from matplotlib.figure import Figure
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from tables import PADS, claimed, markdown, nad_of, seconds_of
 
-from estimators.evaluation.statistics import AXIS, Claims, select
+from estimators.evaluation.statistics import AXIS, Row, select
 from scenarios import load_results, load_scenario, run_scenario
 from scenarios.cli.run import show_progress
 from scenarios.config import Scenario
 from scenarios.results.store import rows_of
 
-PADS = "_on_pads"
 BUDGETS = [95.0, 190.0, 380.0]
 TURNS = {"policy.pivots": [2, 4, 8], "policy.accelerated": [1, 2, 4]}
 METHODS = "bayes", "hidden_states", "least_squares"
@@ -53,44 +49,23 @@ def scenario_of(kind: str, objects: list[str], seeds: int) -> Scenario:
     return Scenario.model_validate(found | {"objects": objects, "seeds": seeds, "sweep": sweep, "methods": methods})
 
 
-@dataclass(frozen=True)
-class Point:
-    """Answers of a method at one robot time."""
-
-    method: str
-    robot_s: float
-    nad: list[float]
-    """NAD in percent of every answer."""
-    sets: int
-    """Number of sets of trials."""
-    claims: Claims | None
-
-    @property
-    def mean(self) -> float:
-        """Mean NAD, where every set has an answer."""
-        return fmean(self.nad) if len(self.nad) == self.sets else math.nan
-
-
-def points_of(folder: Path) -> list[Point]:
-    """Answers of every method at every robot time of a run."""
+def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
+    """Method and its answers at every robot time of a run."""
     rows = rows_of(load_results(folder))
     axis = next(name for name in rows[0] if name.startswith(AXIS))
-    found = []
-    for method in METHODS:
-        for value in dict.fromkeys(row[axis] for row in rows):
-            each = select(rows, method=method, **{axis: value})
-            nad = [100 * row["nad"] for row in each if row["nad"] is not None]
-            found.append(Point(method, fmean(row["robot_s"] for row in each), nad, len(each), Claims.of(each)))
-    return found
+    values = dict.fromkeys(row[axis] for row in rows)
+    return [(method, select(rows, method=method, **{axis: value})) for method in METHODS for value in values]
 
 
-def drawn(points: dict[str, list[Point]]) -> Figure:
-    """Mean NAD of `bayes` against robot time, a curve for each kind of trials."""
+def drawn(sets: dict[str, list[tuple[str, list[Row]]]]) -> Figure:
+    """Mean NAD of `bayes` against robot time, a curve for each kind of trials; gaps where a set has no answer."""
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
     axis = figure.subplots()
-    for kind, found in points.items():
-        curve = [(each.robot_s, each.mean) for each in found if each.method == "bayes"]
-        axis.plot(*zip(*curve, strict=True), "o-" if "planned" in kind else "s--", label=kind)
+    for kind, found in sets.items():
+        own = [rows for method, rows in found if method == "bayes"]
+        time = [fmean(row["robot_s"] for row in rows) for rows in own]
+        nad = [fmean(100 * (math.nan if row["nad"] is None else row["nad"]) for row in rows) for rows in own]
+        axis.plot(time, nad, "o-" if "planned" in kind else "s--", label=kind)
     axis.set_ylim(bottom=0)
     axis.set_xlabel("robot time, s")
     axis.set_ylabel("mean NAD, %")
@@ -109,27 +84,24 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--secret")
     given = parser.parse_args()
-    points = {}
-    for kind in KINDS:
-        folder = given.folder / kind.replace(", ", "_").replace(" ", "_")
-        with show_progress() as progress:
-            run_scenario(
-                scenario_of(kind, given.objects, given.seeds), folder, given.workers, progress, secret=given.secret
-            )
-        points[kind] = points_of(folder)
-    table = Table(
-        "trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", box=box.MARKDOWN
+    sets, lines = (
+        {},
+        [["trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", "answers"]],
     )
-    for kind, found in points.items():
-        for each in found:
-            held, claims = ("", "", ""), each.claims
-            if claims is not None:
-                held = f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", f"{100 * claims.silent:.0f} %"
-            nad = f"{each.mean:.2g}" if each.mean == each.mean else f"{len(each.nad)} of {each.sets} answered"
-            table.add_row(kind, f"`{each.method}`", f"{each.robot_s:.0f}", nad, *held)
-    Console(width=120).print(table)
+    for kind in KINDS:
+        folder, scenario = (
+            given.folder / kind.replace(", ", "_").replace(" ", "_"),
+            scenario_of(kind, given.objects, given.seeds),
+        )
+        with show_progress() as progress:
+            run_scenario(scenario, folder, given.workers, progress, secret=given.secret)
+        sets[kind] = sets_of(folder)
+        for method, rows in sets[kind]:
+            answers = f"{sum(row['nad'] is not None for row in rows)} of {len(rows)}"
+            lines.append([kind, f"`{method}`", seconds_of(rows), nad_of(rows), *claimed(rows), answers])
+    print(markdown(lines))
     if given.figure:
-        drawn(points).savefig(given.figure, dpi=150)
+        drawn(sets).savefig(given.figure, dpi=150)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What planning saves: python bench/planning.py WHAT [options].
+"""Robot time that planning saves: python bench/planning.py WHAT [options].
 
 policies   NAD against robot seconds for every policy, expected against achieved, in simulation under a sensor
 more       what more turns buy: expected NAD after 1 to 8 planned turns

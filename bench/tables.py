@@ -179,6 +179,19 @@ def held(rows: Sequence[Any]) -> str:
     return "" if claims is None else f"{100 * claims.held:.0f}"
 
 
+def claimed(rows: Sequence[Any]) -> list[str]:
+    """Error over claimed error, 90 % intervals that hold, and silent answers; empty of methods that claim no errors."""
+    claims = Claims.of(rows)
+    if claims is None:
+        return ["", "", ""]
+    return [f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", f"{claims.silent * len(rows):.0f} of {len(rows)}"]
+
+
+def seconds_of(rows: Sequence[Any]) -> str:
+    """Mean robot time of some answers, s."""
+    return f"{fmean(row['robot_s'] for row in rows):.0f}"
+
+
 def budget_table(results: Sequence[Any]) -> str:
     """Sources of a lab's errors, each alone: median NAD, and error over claimed error."""
     methods = ("hidden_states", "bayes", "least_squares", "hidden_states_published", "explicit_state_M")
@@ -201,12 +214,8 @@ def labs_table(runs: Mapping[str, Sequence[Any]]) -> str:
     for run, title in LABS.items():
         for method in methods:
             rows = [row for row in select(runs[run], method=method) if row["object"].removesuffix(PADS) in blocks]
-            claims, claimed = Claims.of(rows), ["", "", ""]
-            if claims is not None:
-                silent = f"{claims.silent * len(rows):.0f} of {len(rows)}"
-                claimed = [f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", silent]
-            time = f"{fmean(row['robot_s'] for row in rows):.0f}"
-            lines.append([title if method == methods[0] else "", f"`{method}`", nad_of(rows), *claimed, time])
+            first = title if method == methods[0] else ""
+            lines.append([first, f"`{method}`", nad_of(rows), *claimed(rows), seconds_of(rows)])
     return markdown(lines)
 
 

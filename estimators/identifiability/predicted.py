@@ -26,6 +26,7 @@ from testbed.sensing.camera import SPAN, Camera, PoseStream
 from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
+from testbed.sensing.series import interpolated
 from testbed.sensing.windows import PARTS as WINDOW_PARTS
 from testbed.sensing.windows import TRIM_END, part_means, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -200,7 +201,7 @@ def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camer
     """Frames that a camera would see of poses at some times, without its errors, which they state."""
     if camera.rate:
         frames = np.arange(time[0], time[-1], 1 / camera.rate)
-        time, poses = frames, np.column_stack([np.interp(frames, time, each) for each in poses.T])
+        time, poses = frames, interpolated(frames, time, poses)
     return PoseStream(time, poses[:, None], camera.position, camera.angle, camera.delay_std)
 
 

@@ -37,11 +37,11 @@ def linearized(
         return predict({name: part.reshape(value.shape) for (name, value), part in parts}, window)
 
     count, found = len(next(iter(windows.values()))), []
+    size, at = chunk or count, torch.cat([value.flatten() for value in theta.values()])
     # not `torch.func.jacrev`, whose first call imports torch's compiler: two to three core-seconds in every process
-    for begin in range(0, count, chunk or count):
-        part = {name: field[begin : begin + (chunk or count)] for name, field in windows.items()}
-        flat = torch.cat([value.flatten() for value in theta.values()]).expand(min(chunk or count, count - begin), -1)
-        flat = flat.clone().requires_grad_()
+    for begin in range(0, count, size):
+        part = {name: field[begin : begin + size] for name, field in windows.items()}
+        flat = at.repeat(min(size, count - begin), 1).requires_grad_()
         rows = vmap(rows_of)(flat, part)
         each = torch.eye(rows.shape[1], dtype=rows.dtype)[:, None].expand(-1, len(rows), -1)
         slopes = torch.autograd.grad(rows, flat, each, is_grads_batched=True)[0]

@@ -250,7 +250,7 @@ def test_in_a_turn_they_carry_the_weight_and_oppose_the_motion():
     np.testing.assert_array_equal(feet.time_s, trajectory.time_s[::10])
     steady = np.flatnonzero(trajectory.phase[::10] == Phase.STEADY)[10:-1]
     weight = feet.force[steady, :, 2].sum(1)
-    np.testing.assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the rest hangs on the gripper
+    np.testing.assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the gripper carries the rest
     drag = np.linalg.norm(feet.force[steady, :, :2], axis=2)
     far = np.linalg.norm(obj.shape.particles[feet.particle] - obj.shape.grasps[0].position, axis=1) > 0.03
     np.testing.assert_allclose(drag[:, far], 0.5 * feet.force[steady][:, far, 2], rtol=0.01)

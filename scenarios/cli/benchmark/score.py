@@ -114,12 +114,11 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
 def _table(title: str, first: str, headings: Iterable[str], lines: Mapping[str, Sequence[str]]) -> Table:
     """Table of cells, a row a line; `first` heads their names."""
     from rich import box
-    from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE)
-    table.add_column(first, no_wrap=True)
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    from scenarios.cli.terminal import open_table
+
+    table = open_table(first, *headings, left=(first,), title=title, title_justify="left", box=box.SIMPLE)
+    table.columns[0].no_wrap = True
     for name, cells in lines.items():
         table.add_row(name, *cells)
     return table

@@ -20,6 +20,7 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import tare_samples, tool_wrench
 from testbed.sensing.lift_windows import lift_windows
 from testbed.sensing.presets import preset
+from testbed.sensing.series import interpolated
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import ask, nad, shown_in_the_air
@@ -118,7 +119,7 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
     if setup.delay:  # the sensor is ahead of the poses
         ahead = felt.time_s + setup.delay
         both = sensed + tool_wrench(TOOL, felt, axes)
-        on_tool += np.column_stack([np.interp(ahead, felt.time_s, one) for one in both.T]) - both
+        on_tool += interpolated(ahead, felt.time_s, both) - both
     sensed += on_tool - on_tool[tare_samples(felt)].mean(axis=0)
     felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
     misses = [

@@ -22,6 +22,7 @@ from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
 from tests.fakes.lab_bench import mapping_of, strung, write_csv, write_toml
+from tests.helpers.commands import ended
 from tests.helpers.runs import quiet, small_scenario
 from viz.report.tables import Entry, Table
 from viz.report.terminal import rich_table
@@ -202,18 +203,10 @@ def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
 
 @pytest.mark.slow
 def test_what_is_not_there_is_named(results, capsys):
-    for words, wanted in ((["nobody"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
+    for words, wanted in ((["another"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
         with pytest.raises(SystemExit):
             main(["doctor", str(results), *words])
         assert wanted in capsys.readouterr().err
-
-
-def ended(*words: str) -> int:
-    try:
-        main([*words])
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 def test_a_recording_is_found_and_imported(

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.misfit import UNEXPLAINED
-from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_trajectories
 from scenarios.results.store import Store
 from scenarios.study.run import EstimateRequest
@@ -30,6 +29,7 @@ from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
+from tests.helpers.commands import ended
 from tests.helpers.recorded import put_trial
 
 pytestmark = pytest.mark.slow
@@ -54,14 +54,6 @@ def lab(records: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPat
     named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]
     write_toml(tmp_path / "lab.toml", mapping_of(records[0], action=None, logs=named))
     return tmp_path
-
-
-def ended(*words: str) -> int:
-    try:
-        main([*words])
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 def test_logs_become_trials_that_play_again(lab: Path, capsys: pytest.CaptureFixture[str]):

@@ -9,6 +9,7 @@ import math
 import re
 import time
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import analytic_trial, drawn_object
-from scenarios.cli.main import main
 from scenarios.cli.robot.calibrate import COLUMNS
 from scenarios.cli.robot.trial import action_of, push_of
 from scenarios.results.store import Store, object_request
@@ -50,9 +50,11 @@ from tests.fakes.rig import KORTEX, FakeRig
 from tests.fakes.robot import FakeArm, FakeCamera, FakeGripper, FakeRobot, FakeSensor, robot_for, small_object
 from tests.fakes.static_hand import COM, MASS, POSES, readings
 from tests.fakes.world import Gen3World
+from tests.helpers import commands
 from viz.recordings.trial import SensorStream
 
 SHEET = gripper_class(RobotFile()).data_sheet(0.05)
+ended = partial(commands.ended, "robot")
 
 
 @pytest.fixture
@@ -61,15 +63,6 @@ def folder(tmp_path, monkeypatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", "")
     monkeypatch.delenv("HEFT_KORTEX_PYTHON", raising=False)
     return tmp_path
-
-
-def ended(*words: str) -> int:
-    """Exit code of a command."""
-    try:
-        main(["robot", *words])
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 def answer(monkeypatch, line: str) -> None:

@@ -1,4 +1,4 @@
-"""Actions: plain data, tool paths, pushes, and the table of what every kind does."""
+"""Actions: plain data, tool paths, pushes, and the table of properties of every kind."""
 
 import json
 import math

@@ -20,6 +20,7 @@ from testbed.objects.files import load_object
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
+from testbed.sensing.series import interpolated
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
@@ -73,7 +74,7 @@ def test_a_delay_is_found_and_taken_off(turns: list[Trajectory], tmp_path: Path,
     assert again.figures["wrench_delay_s"] == mean.seconds
     assert again.provenance["delay"].endswith("ms late, by accelerated turns; " + "not " * (late == 0) + "taken off")
     turned = again.phase == Phase.STEADY
-    there = np.column_stack([np.interp(again.time_s, turns[0].time_s, c) for c in turns[0].sensor_wrench.T])
+    there = interpolated(again.time_s, turns[0].time_s, turns[0].sensor_wrench)
     off = np.sqrt(np.mean((again.sensor_wrench - there)[turned][:, 5] ** 2))
     assert off < 0.2 * np.std(there[turned][:, 5])
 

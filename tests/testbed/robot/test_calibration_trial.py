@@ -1,4 +1,4 @@
-"""Checks of a calibrated bench: a trial, motion against the actions that are told, weighing and a known mass."""
+"""Checks of a calibrated bench: a trial, motion against the stated actions, weighing and a known mass."""
 
 import re
 from dataclasses import replace

@@ -30,10 +30,11 @@ from estimators.baselines.lcp import LcpEngine, _Advance, polygon_sides, solve_s
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
+from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form, descend_loads
-from estimators.particles.friction_system import LoadGroups, friction_equations
 from estimators.particles.observe import observe
+from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import (
     ParticleModel,
     cross,
@@ -48,7 +49,7 @@ from scenarios.cli.terminal import open_table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY
+from testbed.objects.model import GRAVITY, MassDistribution
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.controller import Servo
@@ -279,16 +280,13 @@ def main() -> None:
     time_trial(table)
     trajectories, weight = six_turns()
     shape = load_object("L2").shape
-    model = ParticleModel.of(shape)
-    groups = LoadGroups.of(model)
     observed = observe(shape, trajectories)
     assert observed is not None
     steady = observed.where(~observed.accelerated)
-    mass = torch.full((len(shape.particles),), weight / len(shape.particles), dtype=torch.float64)
     settings = HiddenStates()
-    system = friction_equations(
-        model, groups, steady, mass, torch.full_like(mass, 0.5), shape.height, settings.errors
-    ).whitened()  # fmt: skip
+    at = MassDistribution(np.full(shape.n_m, weight / len(shape.particles)), np.full(shape.n_mu, 0.5))
+    on_table = OnTable.of(shape, steady, "own_weight", settings.errors)
+    system = FrictionEquations.about(on_table, weight, at, settings.errors).whitened()
     exact = seconds(lambda: closed_form(system), 50)
     table.add_row("closed form of s, six turns", f"{exact * 1e3:.2f} ms", "", "", "<= 10 ms")
     reference = closed_form(system)

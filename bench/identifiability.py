@@ -24,13 +24,15 @@ from rich.console import Console
 from scipy.optimize import minimize
 
 from estimators.evaluation.statistics import NINETY
+from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.masses import friction_loads
 from estimators.identifiability.information import Assumptions, observed
-from estimators.particles.friction_system import LoadGroups, friction_equations
+from estimators.particles.load_groups import LoadGroups
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
-from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from estimators.posterior.on_table import OnTable
+from estimators.wrench.model import EXACT, ModelErrors
 from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
@@ -184,18 +186,10 @@ def _at_truth(
     model: ObjectModel, windows: Observations, force: float, torque: float, pivot: float, height: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Whitened Q s and b at the true loads, and half the log determinant of the covariance."""
-    shape, particles = model.shape, ParticleModel.of(model.shape)
-    groups, mass = LoadGroups.of(particles), torch.tensor(model.particle_mass)
-    system = friction_equations(
-        particles,
-        groups,
-        windows,
-        mass,
-        particles.particle_friction(torch.tensor(model.truth.friction)),
-        shape.height,
-        ModelErrors(pivot_error=pivot, force_error=force, torque_error=torque, height_error=height),
-    ).whitened()
-    loads = friction_loads(shape, groups.pairs, model.truth)
+    errors = ModelErrors(pivot_error=pivot, force_error=force, torque_error=torque, height_error=height)
+    on_table = OnTable.of(model.shape, windows, "own_weight", errors)
+    system = FrictionEquations.about(on_table, model.total_mass, model.truth, errors).whitened()
+    loads = friction_loads(model.shape, LoadGroups.of(on_table.table.model).pairs, model.truth)
     return system.q.numpy() @ loads, system.b.numpy(), -float(torch.linalg.slogdet(system.whiten)[1])
 
 

@@ -21,7 +21,9 @@ from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
+from estimators.posterior.on_table import OnTable
 from estimators.testing.analytic_links import drawn_chain
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
@@ -139,13 +141,13 @@ def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     assert trials is not None
     windows, s = trials.windows, trials.friction_loads(model.truth)
     equations = trials.friction_equations(model.truth)
-    assert equations.hinges is not None
-    held = equations.hinges @ torch.tensor(model.hinge_friction, dtype=torch.float64)
-    left, count = equations.b - equations.q @ torch.tensor(s) - held, 3 * len(windows)
-    size, off = trials.linear_rows(model.truth, windows).sum_of_drag, left[:count].reshape(-1, 3)
-    planar = torch.stack([off[:, :2].norm(dim=1) / size[:, 0], off[:, 2].abs() / size[:, 2]], 1)
-    turning = ~windows.standing.flatten()
-    about = left[count:][turning].abs() / size[:, 3:].flatten()[turning]
+    held = equations.wide["hinge_friction"] @ torch.tensor(model.hinge_friction, dtype=torch.float64) / HINGE_PRIOR
+    off = equations.b - equations.q @ torch.tensor(s) - held
+    on_table = OnTable.of(model.shape, windows, "own_weight", ModelErrors())
+    drag, turning = trials.groups.spread(s), ~windows.standing
+    lever, hinges = on_table.table.lever.norm(dim=-1) @ drag, on_table.drag_rows[:, 6:].abs() @ drag
+    planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 5].abs() / lever], 1)
+    about = off[:, 6:][turning].abs() / hinges[turning]
     return 100 * planar.numpy(), 100 * about.numpy()
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from estimators.particles.friction_system import LoadGroups, rank_of
+from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.wrench.model import ParticleModel, cross, direction, turned
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action

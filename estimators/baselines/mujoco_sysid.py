@@ -12,7 +12,7 @@ from estimators.base import Trace
 from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
 from estimators.particles.misfit import Misfit
-from estimators.particles.windows import Observations
+from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import SupportModel
 from estimators.wrench.weighing import Weighing
@@ -67,7 +67,10 @@ class MujocoSysid(Peer):
         coordinates = LogCoordinates.of(problem, seed)
         first = coordinates.candidates(coordinates.start[None])
         guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
-        wrench, whiten = windows.wrench.numpy(), problem.whiten.numpy()
+        # of planar wrenches given the others, which show the gripper's load that its rollouts get
+        planar = (6 * torch.arange(len(windows))[:, None] + torch.tensor(PLANAR)).flatten()
+        whiten = torch.linalg.cholesky((problem.whiten.T @ problem.whiten)[planar[:, None], planar]).T.numpy()
+        wrench = windows.wrench.numpy()
         weighing = Weighing.of(shape, ModelErrors.weight_error, windows.setup)
         measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, weighing.error)
         found = identify(guess, SUPPORTS[self.support], measured, self.iterations)

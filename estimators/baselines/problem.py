@@ -13,15 +13,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.particles.friction_system import LoadGroups, friction_equations, rank_of
+from estimators.hidden_states.equations import FrictionEquations
+from estimators.hidden_states.friction import closed_form
+from estimators.hidden_states.masses import one_friction_masses
+from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.particles.observe import ONE_PIECE, observe
-from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
-from estimators.wrench.support import LOADS
+from estimators.wrench.support import LOADS, SupportModel
 from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
@@ -43,10 +46,16 @@ class Problem:
     windows: Observations
     loads: AffineLoads
     wrenches: WrenchModel
+    """Planar wrenches, with the gripper's measured load."""
+    sensed: WrenchModel
+    """All six components that the sensor shows, of a gripper that carries nothing."""
+    read: Float[Tensor, "K 6"]
+    """All six as measured, about the TCP."""
     weight: float | None
     """M [kg], or None if the method does not get it."""
     whiten: Tensor
-    """Map of wrench residuals to unit variance, by the errors of sensor and model, shape (3 K, 3 K)."""
+    """Map of the residuals of all six to unit variance, by the errors of sensor and model and the gripper's load,
+    (6 K, 6 K)."""
 
     @staticmethod
     def of(
@@ -57,7 +66,7 @@ class Problem:
         *,
         use_weight: bool,
         errors: ModelErrors,
-        support: str = "own_weight",
+        support: SupportModel = "own_weight",
     ) -> Problem | Estimate:
         """The problem, or the estimate that says why there is none; `errors` are those of the model on its `support`.
 
@@ -81,8 +90,8 @@ class Problem:
         loads = AffineLoads.of(shape, model, windows, LOADS[support])
         wrenches = WrenchModel.of(model, windows, loads, errors.pivot_error)
         known = weight if use_weight else None
-        whiten = _whitening(shape, model, windows, known, errors)
-        return Problem(shape, model, windows, loads, wrenches, known, whiten)
+        sensed, read, whiten = _sensed(shape, model, windows, known, errors, support)
+        return Problem(shape, model, windows, loads, wrenches, sensed, read, known, whiten)
 
     @staticmethod
     def stacked(draws: Sequence[Problem]) -> Problem:
@@ -92,6 +101,8 @@ class Problem:
             windows=Observations.stacked([draw.windows for draw in draws]),
             loads=AffineLoads.stacked([draw.loads for draw in draws]),
             wrenches=WrenchModel.stacked([draw.wrenches for draw in draws]),
+            sensed=WrenchModel.stacked([draw.sensed for draw in draws]),
+            read=torch.stack([draw.read for draw in draws])[:, None],
             whiten=torch.stack([draw.whiten for draw in draws]),
         )
 
@@ -126,10 +137,9 @@ class Problem:
         self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"], weighting: Weighting = "velocity"
     ) -> Float[Tensor, "..."]:
         """Mean over windows of |v_predicted - v_measured|^2 one step on (Eq. problem), or of the whitened error."""
-        missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
         if weighting == "covariance":
-            return (missing.flatten(-2) @ self.whiten.mT).square().mean(-1)
-        along, spin = self._missing_acceleration(mass, missing)
+            return self._whitened(mass, friction).square().mean(-1)
+        along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
         return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
 
     def unexplained(self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]) -> float:
@@ -146,13 +156,16 @@ class Problem:
 
     def residuals(
         self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"], weighting: Weighting
-    ) -> Float[Tensor, "3K"]:
+    ) -> Float[Tensor, "R"]:
         """Residuals whose squares sum to `loss`."""
-        missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
         if weighting == "covariance":
-            return (missing.flatten(-2) @ self.whiten.T) / math.sqrt(missing.numel())
-        along, spin = self._missing_acceleration(mass, missing)
+            return self._whitened(mass, friction) / math.sqrt(len(self.whiten))
+        along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
         return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
+
+    def _whitened(self, mass: Tensor, friction: Tensor) -> Float[Tensor, "... 6K"]:
+        """Residuals of all six components in units of their errors."""
+        return (self.read - self.sensed.wrench(mass, friction)).flatten(-2) @ self.whiten.mT
 
     def _missing_acceleration(self, mass: Tensor, missing: Float[Tensor, "... K 3"]) -> tuple[Tensor, Tensor]:
         """Acceleration of the center of mass and of the turn by a missing wrench, shapes (..., K, 2) and (..., K)."""
@@ -162,24 +175,29 @@ class Problem:
         return missing[..., :2] / inertia.mass[..., None, None], spin
 
 
-def _whitening(
-    shape: ObjectShape, model: ParticleModel, windows: Observations, weight: float | None, errors: ModelErrors
-) -> Tensor:
-    """Inverse root of the wrenches' covariance, by the errors that Algorithm 1 counts, at even masses.
+def _sensed(
+    shape: ObjectShape,
+    model: ParticleModel,
+    windows: Observations,
+    weight: float | None,
+    errors: ModelErrors,
+    support: SupportModel,
+) -> tuple[WrenchModel, Float[Tensor, "K 6"], Float[Tensor, "6K 6K"]]:
+    """Model of all six components, their values, and the inverse root of their covariance.
 
-    A window of constant acceleration has the error of its I_j besides: once of each grasp point, and once of all.
+    The covariance has the errors that Algorithm 1 counts, on own weight at the masses that its friction loads give with
+    one friction for all, as they scale the effect of the gripper's load. A search predicts no torques about hinges.
     """
     mass = windows.drag / (LIKELY_FRICTION * GRAVITY) if weight is None else weight
-    each = np.full(shape.n_m, mass / len(shape.particles))
-    friction = torch.full((shape.n_mu,), windows.drag / (mass * GRAVITY), dtype=torch.float64)
-    at = model.particle_mass(torch.tensor(each)), model.particle_friction(friction)
-    equations = friction_equations(model, LoadGroups.of(model), windows, *at, shape.height, errors)
-    inertia = torch.tensor(inertia_map(shape, windows.grasp.numpy()) @ each)
-    turning = torch.zeros_like(windows.wrench)
-    turning[:, 2] = errors.inertia_error * inertia * windows.acceleration[:, 2] * windows.accelerated
-    spread = turning.flatten()
-    same = (windows.grasp[:, None] - windows.grasp).norm(dim=-1) < 1e-9
-    twice = 1 + same.double().repeat_interleave(3, 0).repeat_interleave(3, 1)
-    wrenches = slice(0, 3 * len(windows))  # a search predicts no torques about hinges
-    covariance = equations.covariance[wrenches, wrenches] + twice * torch.outer(spread, spread)
-    return torch.linalg.inv(torch.linalg.cholesky(covariance))
+    even = np.full(shape.n_m, mass / len(shape.particles))
+    at = MassDistribution(even, np.full(shape.n_mu, windows.drag / (mass * GRAVITY)))
+    on_table = OnTable.of(shape, windows, support, errors)
+    equations = FrictionEquations.about(on_table, mass, at, errors)
+    if support == "own_weight":
+        at = one_friction_masses(shape, mass, LoadGroups.of(model).pairs, closed_form(equations.whitened()))
+        equations = FrictionEquations.about(on_table, mass, at, errors)
+    covariance = equations.covariance[:, :6, :, :6].flatten(0, 1).flatten(1)
+    per_mass = on_table.table.windows["per_mass"]
+    loads = AffineLoads(per_mass, torch.zeros_like(per_mass[..., 0]))
+    sensed = WrenchModel.by_rows(model, on_table.inertial_rows[:, :6], on_table.drag_rows[:, :6], loads)
+    return sensed, on_table.read[:, :6], torch.linalg.inv(torch.linalg.cholesky(covariance))

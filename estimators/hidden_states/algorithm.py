@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.base import HiddenStateEstimate, Trace
+from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form_covariance
 from estimators.hidden_states.inertia import com_and_inertia
 from estimators.hidden_states.masses import MassSolution, solve_masses
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.friction_system import LinearSystem
 from estimators.particles.pivots import PivotInertia
 from testbed.objects.model import MassDistribution
 

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from estimators.base import Estimate, Trace
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
+from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
 from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.friction_system import LinearSystem, hinge_friction
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY
 from estimators.particles.pivots import PivotInertia
@@ -133,7 +133,7 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
 
 def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tuple[dict[str, float], str]:
     """Friction of every hinge that was seen to turn, with its standard deviation, N m; and the others, in words."""
-    found = None if trials.shape.chain is None else hinge_friction(trials.friction_equations(at))
+    found = trials.friction_equations(at).hinge_friction()
     named: dict[str, float] = {}
     unseen: list[str] = []
     for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):

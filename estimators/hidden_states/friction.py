@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from estimators.base import Trace
 from estimators.descent import descend
-from estimators.particles.friction_system import LinearSystem
+from estimators.hidden_states.equations import LinearSystem
 
 CONTRADICTORY = 5e4
 """Mean squared residual, in units of the data's own error, beyond which no mass map explains the data.

@@ -1,13 +1,18 @@
-"""Center of mass and moment of inertia from the inertias I_j about several pivots, Eq. problem_com_inertia."""
+"""Moments of inertia I_j about pivots, Eq. dvp; and center of mass and inertia by them, Eq. problem_com_inertia."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Float
+from torch.nn.functional import one_hot
 
+from estimators.hidden_states.equations import FrictionEquations
 from estimators.particles.pivots import PivotInertia
+from estimators.particles.windows import Observations
+from estimators.wrench.model import Inertia
 
 RANK_TOLERANCE = 1e-6
 """Directions of the pivots' spread below this part of the largest count as a straight row."""
@@ -54,3 +59,43 @@ def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
         "known. Turn about a point off the row"
     )
     return ComInertia(com, np.nan, why)
+
+
+def pivot_inertias(
+    equations: FrictionEquations,
+    windows: Observations,
+    s: Float[np.ndarray, "n_s"],
+    guess: Inertia,
+    relative_error: float,
+) -> PivotInertia:
+    """I_j by the slope of torque, less that of friction, over angular acceleration, pivot by pivot, Eq. dvp.
+
+    Every trial has a constant of its own, so neither friction nor bias enters: only their change from window to window
+    does.
+
+    Args:
+        equations: friction equations of the windows, with the effects of an open center of mass.
+        windows: all windows, some of them accelerated.
+        s: friction loads, N.
+        guess: inertia that the equations take off their values.
+        relative_error: error of I_j beyond the scatter: once of each, and once of all together.
+    """
+    places, torque = torch.nonzero(windows.accelerated).flatten(), torch.zeros_like(equations.b)
+    torque[:, 5] = windows.spin_up(guess)
+    missing = equations.b + torque - equations.q @ torch.tensor(s)
+    pivots, index = np.unique(windows.grasp[places].numpy().round(9), axis=0, return_inverse=True)
+    values, variances = np.empty(len(pivots)), np.empty(len(pivots))
+    for j in range(len(pivots)):
+        own = places[torch.tensor(index.ravel() == j)]
+        turned, center = equations.where(own), equations.wide["center"][own].flatten(0, 1)
+        of_trial = one_hot(torch.unique(windows.trial[own], return_inverse=True)[1]).double()
+        rows = torch.zeros(*turned.b.shape, 2 + of_trial.shape[1], dtype=torch.float64)
+        rows[:, 5, 0], rows[:, 5, 1:-1], rows[..., -1] = windows.acceleration[own, 2], of_trial, missing[own]
+        root = torch.linalg.cholesky(turned.covariance.flatten(0, 1).flatten(1) + center @ center.T)
+        white = torch.linalg.solve_triangular(root, rows.flatten(0, 1), upper=False).numpy()
+        design, measured = white[:, :-1], white[:, -1]
+        solution, *_ = np.linalg.lstsq(design, measured, rcond=None)
+        residual, freedom = measured - design @ solution, max(len(white) - design.shape[1], 1)
+        variance = np.linalg.inv(design.T @ design)[0, 0] * max(1.0, residual @ residual / freedom)
+        values[j], variances[j] = solution[0], variance + (relative_error * solution[0]) ** 2
+    return PivotInertia(pivots, values, variances, relative_error)

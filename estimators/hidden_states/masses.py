@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from estimators.particles.friction_system import weight_per_mass
+from estimators.particles.load_groups import weight_per_mass
 from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape

@@ -24,12 +24,12 @@ from estimators.hidden_states.estimator import Solver
 from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.hidden_states.masses import SMALLEST_PART, feet_of
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.friction_system import rank_of, weight_per_mass
+from estimators.particles.load_groups import rank_of, weight_per_mass
 from estimators.particles.observe import NO_DATA, ONE_PIECE
 from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
-from estimators.wrench.support import ASSUMPTION
+from estimators.wrench.support import ASSUMPTION, own_weight
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -219,13 +219,17 @@ def masses_of(
 
 def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
     """The trials without the drag of the gripper's load, by masses and frictions of the round before."""
-    mass = trials.model.particle_mass(torch.tensor(guess.mass))
-
-    def unloaded(windows: Observations) -> Observations:
-        friction = trials.friction_equations(guess, windows).b.reshape(-1, 3)
-        return replace(windows, wrench=friction + windows.table(trials.model).motion(mass))
-
-    return replace(trials, windows=unloaded(trials.windows), accelerated=unloaded(trials.accelerated))
+    windows, model = trials.windows, trials.model
+    mass, friction = (
+        model.particle_mass(torch.tensor(guess.mass)),
+        model.particle_friction(torch.tensor(guess.friction)),
+    )
+    table = windows.table(model)
+    load = windows.gripper_load(table.lever, table.motion(mass), trials.shape.height)
+    support = own_weight(model, mass, load)
+    of_load = friction * (support.lean + support.change(load))
+    drag = (windows.drag_rows(model, trials.errors.pivot_error) @ of_load[..., None])[..., 0]
+    return replace(trials, windows=replace(windows, wrench=windows.wrench - drag))
 
 
 def _judged(trials: TrialWindows, trajectories: Sequence[Trajectory], found: Estimate) -> Estimate:

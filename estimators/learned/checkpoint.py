@@ -20,7 +20,7 @@ from estimators.testing.analytic_lab import LAB
 from testbed.files import UNSEALED, load_sealed, write_sealed
 from testbed.worlds.setup_errors import SetupErrors
 
-FORMAT = 2
+FORMAT = 3
 """Version of the format; one of another version is refused."""
 LEAST_FREEDOM = 15
 """Degrees of freedom below which a misfit may be large by chance."""

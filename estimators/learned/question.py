@@ -15,12 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.friction_system import FrictionEquations, rank_of
+from estimators.particles.load_groups import rank_of
 from estimators.particles.misfit import Misfit
 from estimators.particles.observe import observe
 from estimators.particles.pivots import inertia_map
-from estimators.particles.windows import Observations
+from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.support import ERRORS
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -125,14 +126,13 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     start = math.log(float(windows.drag) / (weight * GRAVITY * shape.n_m))
     even = torch.full((shape.n_m,), start, dtype=torch.float64)
     first = _first_answer(trials, accelerated, _guess(trials, even), even)
-    mean, covariance, system, q = first.mean, first.covariance, first.equations, first.q
+    mean, covariance, q = first.mean, first.covariance, first.q
     load = mean.exp()
     drag, reach = float(load.sum()) * weight * GRAVITY, float(trials.model.reach)
     unit = torch.tensor([drag, drag, drag * reach], dtype=torch.float64)
-    rows = (system.q / per_group).reshape(-1, 3, shape.n_m) * drag / unit[:, None]
-    wrench = system.b.reshape(-1, 3) / unit
+    of_loads, wrench, error = _planar(first.equations)
+    rows, wrench, error = of_loads / per_group * drag / unit[:, None], wrench / unit, error / unit
     residual = wrench - rows @ (load / load.sum())
-    error = system.covariance.diagonal().reshape(-1, 3).sqrt() / unit
     middle = torch.tensor(np.array([shape.middle_of(g) for g in range(shape.n_m)]))
     lever = (middle - windows.grasp[:, None]) / reach
     edges = _edges(rows, wrench, residual, lever, error, windows.accelerated)
@@ -168,6 +168,21 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
         first,
         windows.setup,
     )
+
+
+def _planar(
+    equations: FrictionEquations,
+) -> tuple[Float[Tensor, "W 3 G"], Float[Tensor, "W 3"], Float[Tensor, "W 3"]]:
+    """Planar rows of the equations given the others, which show the gripper's load: q, b and its standard errors."""
+    count, rows = equations.b.shape
+    wide = torch.cat([equations.q[..., :0], *equations.wide.values()], -1).flatten(0, 1)
+    precision = torch.linalg.inv(equations.covariance.flatten(0, 1).flatten(1) + wide @ wide.T)
+    at = (rows * torch.arange(count)[:, None] + torch.tensor(PLANAR)).flatten()
+    values = torch.cat([equations.q, equations.b[..., None]], -1).flatten(0, 1)
+    own = precision[at[:, None], at]
+    given = torch.linalg.solve(own, precision[at] @ values).reshape(count, 3, -1)
+    error = torch.linalg.inv(own).diagonal().sqrt().reshape(count, 3)
+    return given[..., :-1], given[..., -1], error
 
 
 def _guess(trials: TrialWindows, prior: Float[Tensor, "G"]) -> Float[Tensor, "G"]:

@@ -50,7 +50,8 @@ def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> F
 
     Args:
         windows: windows of an articulated object.
-        sum_of_drag: as in `LinearRows`.
+        sum_of_drag: sum over particles of the magnitudes of their drag along each row, N, N and N m, and N m about
+            hinges.
     """
     # windows of a trial are alike, and so are the errors of their drag
     alike = windows.together.sum(1).sqrt()[:, None]

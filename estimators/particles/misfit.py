@@ -6,11 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import torch
-from jaxtyping import Float
 from scipy.stats import chi2
 
-from estimators.particles.friction_system import FrictionEquations
 from estimators.particles.pivots import PivotInertia, inertia_map
 from testbed.objects.model import MassDistribution, ObjectShape
 
@@ -93,17 +90,3 @@ def inertia_in_words(part: float) -> str:
     """Checks to make where accelerated turns show `part` of the inertia of the masses."""
     found = f"accelerated turns show {100 * part:.0f} % of the inertia that these masses have"
     return f"{found}: weigh the object again, check the torque's unit and the object's size, or ask support_aware"
-
-
-def misfit_of(equations: FrictionEquations, loads: Float[np.ndarray, "n_s"], unknowns: int) -> Misfit:
-    """Misfit of friction loads.
-
-    Args:
-        equations: Q s = b with its errors.
-        loads: s, N.
-        unknowns: number of loads and of other parameters that were fitted.
-    """
-    system = equations.whitened()
-    missing = system.b - system.q @ torch.tensor(loads)
-    freedom = len(missing) - unknowns
-    return Misfit(float(missing @ missing) / max(freedom, 1), freedom)

@@ -14,7 +14,6 @@ from torch import Tensor
 from estimators.particles.motion import Motion
 from estimators.wrench.jacobian import Window
 from estimators.wrench.model import Inertia, ParticleModel
-from estimators.wrench.sensor import walk
 from estimators.wrench.support import GripperLoad
 from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -102,10 +101,6 @@ class Observations(Motion):
         """Covariance of `wrench` from the window's own noise."""
         return self.noise[:, PLANAR][:, :, PLANAR]
 
-    def walk_covariance(self) -> Float[Tensor, "K 3 K 3"]:
-        """Covariance of the walk of the sensor's zero in each window since its trial's tare."""
-        return self.walked[:, None, :, None] * self.drift[:, PLANAR][:, :, PLANAR][:, :, None]
-
     @property
     def trial_mean(self) -> Float[Tensor, "K K"]:
         """Map from values to the means over their trials."""
@@ -122,20 +117,9 @@ class Observations(Motion):
         return (self.trial[:, None] == self.trial).double()
 
     @property
-    def walked(self) -> Float[Tensor, "K K"]:
-        """Covariance of the walk of the sensor's zero, 1 a second, in the means over two windows of the same trial."""
-        return self.together * walk(self.since_tare)
-
-    @property
     def articulated(self) -> bool:
         """True if the object has links, which move on their own."""
         return self.links.shape[-2] > 0
-
-    @property
-    def of_row(self) -> Int[Tensor, "R"]:
-        """Window of each row: three of every wrench, then one of every hinge; R = 3 K + K H."""
-        window = torch.arange(len(self))
-        return torch.cat([window.repeat_interleave(3), window.repeat_interleave(self.hinges)])
 
     @property
     def hinges(self) -> int:

@@ -66,26 +66,38 @@ class AffineLoads:
 
 @dataclass(frozen=True, eq=False)
 class WrenchModel:
-    """Wrench that the measured motion takes, (f_x, f_y, torque about the grasp point), bilinear in mass and friction.
+    """Wrench that the measured motion takes, r components in K windows, bilinear in mass and friction.
+
+    Planar, (f_x, f_y, torque about the grasp point), or as the sensor shows all six of a gripper that carries nothing.
 
     wrench = inertial m + sum_k mu_k (weighed_k m + carried_k).
     """
 
-    inertial: Float[Tensor, "K 3 n_m"]
+    inertial: Float[Tensor, "K r n_m"]
     """Wrench of the motion itself a kg of each particle mass."""
-    weighed: Float[Tensor, "n_mu K 3 n_m"]
+    weighed: Float[Tensor, "n_mu K r n_m"]
     """Drag of a friction of 1 under the weight of the masses."""
-    carried: Float[Tensor, "n_mu K 3"]
+    carried: Float[Tensor, "n_mu K r"]
     """Drag of a friction of 1 under the gripper's measured load."""
 
     @staticmethod
     def of(model: ParticleModel, windows: Observations, loads: AffineLoads, pivot_error: float) -> WrenchModel:
         """The model of every window."""
-        table, rows = windows.table(model, pivot_error), windows.drag_rows(model, pivot_error)
+        inertial = windows.table(model, pivot_error).inertial_rows() @ model.parts.T
+        return WrenchModel.by_rows(model, inertial, windows.drag_rows(model, pivot_error), loads)
+
+    @staticmethod
+    def by_rows(
+        model: ParticleModel,
+        inertial: Float[Tensor, "K r n_m"],
+        rows: Float[Tensor, "K r P"],
+        loads: AffineLoads,
+    ) -> WrenchModel:
+        """The model by its rows a kg of each particle mass, and those of a friction of 1 N of each particle."""
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         weighed = torch.stack([part @ loads.per_mass for part in of_group])
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
-        return WrenchModel(table.inertial_rows() @ model.parts.T, weighed, carried)
+        return WrenchModel(inertial, weighed, carried)
 
     @staticmethod
     def stacked(draws: Sequence[WrenchModel]) -> WrenchModel:
@@ -93,7 +105,7 @@ class WrenchModel:
         inertial, weighed = (torch.stack([getattr(draw, part) for draw in draws]) for part in ("inertial", "weighed"))
         return WrenchModel(inertial, weighed, torch.stack([draw.carried for draw in draws])[:, None])
 
-    def wrench(self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... K 3"]:
+    def wrench(self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... K r"]:
         """Predicted wrench of the gripper on the object, N and N m."""
         carried = self.carried.flatten(-2)
         per_mass = mass @ self.inertial.flatten(-3, -2).mT

@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import vmap
+from torch.nn.functional import pad
 
-from estimators.particles.setup_effects import MOST_POINTS
 from estimators.particles.windows import Observations
 from estimators.posterior.solver import Blocks, Linearized
-from estimators.posterior.table_errors import TableErrors
+from estimators.posterior.table_errors import TableErrors, rows_of_planar
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
@@ -24,6 +24,8 @@ from estimators.wrench.table import Table
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
+MOST_POINTS = 64
+"""Points at which the pattern of contact under a group is taken."""
 PATTERNS = "contact_points", "foot_load"
 """Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
@@ -79,7 +81,7 @@ class OnTable:
     def read(self) -> Float[Tensor, "K 6+H"]:
         """Wrench about the TCP as the sensor shows it, N and N m; 0 of each hinge, where no sensor is."""
         read = (self.windows.from_sensor @ self.windows.sensed[..., None])[..., 0]
-        return torch.nn.functional.pad(read, (0, self.windows.hinges))
+        return pad(read, (0, self.windows.hinges))
 
     @property
     def trials(self) -> int:
@@ -105,6 +107,18 @@ class OnTable:
     def middles(self) -> Table:
         """Forward model with every particle on its middle: errors of the motion act on feet, each at one place."""
         return self.windows.table(self.table.model, self.errors.pivot_error, spread=False)
+
+    @cached_property
+    def drag_rows(self) -> Float[Tensor, "K 6+H P"]:
+        """Derivatives of the rows in the friction of each particle, N/N and N m/N."""
+        return rows_of_planar(self.windows.load_map[:, 1, 0], self.windows.hinges) @ self.table.drag_rows()
+
+    @cached_property
+    def inertial_rows(self) -> Float[Tensor, "K 6+H n_m"]:
+        """Derivatives of the rows in particle masses that the motion takes, friction apart; they act at half height."""
+        height = self.windows.load_map[:, 1, 0] - self.shape.height / 2
+        planar = pad(self.table.inertial_rows() @ self.table.model.parts.T, (0, 0, 0, self.windows.hinges))
+        return rows_of_planar(height, self.windows.hinges) @ planar
 
     @property
     def parts(self) -> list[tuple[str, int, int]]:
@@ -211,7 +225,7 @@ class OnTable:
         if "links_carried" not in theta:
             return carried
         moved = theta["links_carried"] * (window["beside"] @ theta["mass"])
-        return carried + torch.nn.functional.pad(moved, (1, 0))
+        return carried + pad(moved, (1, 0))
 
     def predict(self, theta: Theta, window: Window) -> Float[Tensor, "6+H"]:
         """Wrench about the TCP that the sensor shows in one window, N and N m."""

@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.setup_effects import unevenness
 from estimators.posterior.on_table import contact_patterns
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
@@ -19,6 +18,8 @@ MASS_STD, FRICTION_STD = 1.2, 1.0
 """Standard deviations of the logarithms of a group's mass and of a friction. Ours."""
 FRICTION = 0.4
 """Median friction. Ours."""
+SHARES = 2.0
+"""Sum of squared shares of the load of n points, times n: 1 if all carry the same. Ours, of three to eight, uneven."""
 LEAN = 0.25
 """Affine part of a pattern of unknown points, which carries a group off their middle, as a part of any other. Ours."""
 
@@ -71,3 +72,18 @@ def priors(
         )
         blocks["links_carried"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))
     return Unknowns({name: block for name, block in blocks.items() if bool((block.std > 0).any())})
+
+
+def unevenness(setup: SetupErrors, model: ParticleModel) -> tuple[str, float]:
+    """Error of the setup that makes the loads of a group's points of contact uneven, and by how much.
+
+    Either unequal loads on known feet, or few points anywhere under a group. Balance decides the loads of a rigid
+    body's points.
+
+    Returns:
+        Name of the error; and variance of a load, as a part of an even share, over the number of points, 0 if known.
+    """
+    if model.stands_on_feet:
+        return "foot_load", setup.foot_load**2 * len(model.parts) / len(model.feet)
+    unknown = setup.contact_points and not bool(model.is_contact.any())
+    return "contact_points", SHARES / setup.contact_points if unknown else 0.0

@@ -137,30 +137,6 @@ class Table:
         """The windows with every particle on its middle."""
         return replace(self, points=self.model.particles[:, None])
 
-    def secant(self, ahead: Theta) -> Float[Tensor, "K 3+H"]:
-        """Half the change of `rows` from the negative of some unknowns to their values.
-
-        For those that turn the drag of a point near the center of a turn by as much as can be.
-        """
-        behind = {name: -value for name, value in ahead.items()}
-        return (self.rows(ahead) - self.rows(behind)) / 2
-
-    def bends(self, name: str, size: float) -> Float[Tensor, "K 3+H 3"]:
-        """Second-order changes of `rows` with a pair of unknowns of a size: by the first, by both, by the second.
-
-        Second differences at that size; by both, twice that of one order.
-        """
-        both = torch.cartesian_prod(*[torch.tensor([-size, 0.0, size], dtype=torch.float64)] * 2)
-
-        def each(window: Window) -> Tensor:
-            found = vmap(lambda value: self.predict({name: value}, window))(both).unflatten(0, (3, 3))
-            first, second = found[:, 1], found[1]
-            cross = (found[2, 2] - found[2, 0] - found[0, 2] + found[0, 0]) / 4
-            bend = [(values[0] + values[2]) / 2 - values[1] for values in (first, second)]
-            return torch.stack([bend[0], cross, bend[1]], -1)
-
-        return vmap(each, chunk_size=self.chunk)(self.windows)
-
     def moved(self, theta: Theta) -> Moved:
         """Places and motion of the particles in all windows, each with a leading axis of windows."""
 

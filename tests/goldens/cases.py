@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from estimators.base import Estimate
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected
-from estimators.particles.friction_system import sensor_map
 from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows, setup_effects
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
@@ -22,7 +19,6 @@ from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.testing.recorded import load_block
 from estimators.wrench.model import RIGID, ModelErrors
-from estimators.wrench.support import own_weight
 from scenarios.config import Sweep, load_scenario
 from scenarios.study.run import run_scenario
 from testbed.actions.accelerate import Accelerate
@@ -31,7 +27,7 @@ from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.faces import faces
-from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
@@ -135,27 +131,14 @@ def frozen(case: Case) -> Frozen:
 
 
 def of_equations(case: Case, errors: ModelErrors) -> Frozen:
-    """Q, b and their covariance, columns of the setup by kind, and I_j, at the true masses."""
+    """Q, b and their covariance, effects of what is open beforehand, and I_j, at the true masses."""
     model, shape = case.model, case.model.shape
     windows = observe(shape, case.trials, errors)
     assert windows is not None
     trials = TrialWindows.about(shape, model.total_mass, windows, errors)
     equations = trials.friction_equations(model.truth)
     found = {"q": equations.q.numpy(), "b": equations.b.numpy(), "covariance": equations.covariance.numpy()}
-    if equations.hinges is not None:
-        found["hinges"] = equations.hinges.numpy()
-    mass = trials.model.particle_mass(torch.tensor(model.truth.mass))
-    friction = trials.model.particle_friction(torch.tensor(model.truth.friction))
-    table = windows.table(trials.model, errors.pivot_error, spread=True)
-    support = own_weight(trials.model, mass, windows.gripper_load(table.lever, table.motion(mass), shape.height))
-    drag = (friction * support.share * GRAVITY).expand(len(windows), -1)
-    if not windows.articulated:
-        linear = LinearRows.of(windows, table, mass, drag, errors.lead_error, LAB)
-        response = linear.by_particle @ (friction[:, None] * support.response)
-        columns = setup_effects(windows, linear, sensor_map(windows, response), LAB)
-        # their outer product, which no order of columns changes, along three directions
-        along = torch.cos(torch.arange(3.0 * len(equations.b)).double()).reshape(-1, 3)
-        found |= {f"columns.{kind}": (each @ (each.T @ along)).numpy() for kind, each in columns.items()}
+    found |= {name: effects.numpy() for name, effects in equations.wide.items()}
     pivots = trials.pivot_inertias(model.truth, trials.friction_loads(model.truth))
     if pivots is not None:
         found |= {"inertia": pivots.inertia, "inertia_covariance": pivots.covariance}

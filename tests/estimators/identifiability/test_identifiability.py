@@ -25,7 +25,7 @@ from estimators.identifiability.information import (
 )
 from estimators.identifiability.report import identifiability
 from estimators.identifiability.trailing import trailing_motions
-from estimators.particles import friction_system
+from estimators.posterior import table_errors
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, drawn_object, own_weight_loads, turns
@@ -218,7 +218,7 @@ def brisk_pushes(shape: ObjectShape, count: int, seed: int, *, length: float = 0
 @pytest.mark.slow
 def test_what_pushes_are_expected_to_show_is_what_they_show(monkeypatch):
     """At a model error of 1 %: a smaller one does not cover the change of force that a brief record counts as noise."""
-    monkeypatch.setattr(friction_system, "PUSH_ERROR", 0.01)
+    monkeypatch.setattr(table_errors, "PUSH_ERROR", 0.01)
     pushes = brisk_pushes(SLAB.shape, 6, 0, length=0.12)
     before = expected(SLAB.shape, SLAB.truth, pushes, Sensing("exact"))
     after = observed(SLAB.shape, SLAB.truth, analytic_pushes(SLAB, pushes))

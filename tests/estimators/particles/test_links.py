@@ -15,11 +15,13 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows, by_row
-from estimators.particles.windows import Observations
+from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.priors import priors
 from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
+from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight_loads
 from testbed.actions.accelerate import Accelerate
@@ -38,7 +40,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
-from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.blocks import blocks
 
 slow = pytest.mark.slow
@@ -129,20 +131,19 @@ def test_slides_and_turns_show_every_mass_and_hinge_and_a_wrench_alone_does_not(
     trial = TrialWindows.of(obj.shape, obj.total_mass, trials_of(obj), EXACT)
     assert trial is not None
     equations = trial.friction_equations(obj.truth)
-    assert equations.hinges is not None
-    both = torch.cat([equations.q, equations.hinges], 1).numpy()
+    both = torch.cat([equations.q, equations.wide["hinge_friction"]], -1).flatten(0, 1).numpy()
     columns = both / np.linalg.norm(both, axis=0)
     assert np.linalg.matrix_rank(columns, 1e-3) == unknown
-    window = columns[[0, 1, 2]]  # the first window's wrench
+    window = columns[PLANAR]  # the first window's wrench
     assert np.linalg.matrix_rank(window, 1e-3) == 3
 
 
-def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "R"]:
-    """Rows less what true masses, frictions and hinges give them."""
+def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "K 3+H"]:
+    """Planar wrenches and hinge torques less what true masses, frictions and hinges give them."""
     trials = TrialWindows.about(obj.shape, obj.total_mass, windows, ModelErrors(pivot_error=0.0))
     found, loads = trials.friction_equations(obj.truth), torch.tensor(trials.friction_loads(obj.truth))
-    assert found.hinges is not None
-    return (found.b - found.q @ loads - found.hinges @ torch.tensor(obj.hinge_friction, dtype=torch.float64)).numpy()
+    hinges = found.wide["hinge_friction"] @ torch.tensor(obj.hinge_friction, dtype=torch.float64)
+    return (found.b - found.q @ loads - hinges)[:, [*PLANAR, *range(6, found.b.shape[1])]].numpy()
 
 
 @pytest.mark.parametrize(
@@ -153,13 +154,15 @@ def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, 
     grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]
     off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
     assert off is not None
-    count, off = len(off), replace(off, setup=SetupErrors(grasp_offset=1e-9))
-    trials = TrialWindows.about(TWO.shape, TWO.total_mass, off, ModelErrors(pivot_error=0.0))
-    counted = by_row(trials.linear_rows(TWO.truth, off).slopes["grasp_offset"])
-    expected = -counted.numpy() @ offset  # the grip is farther along: the object lies back in the hand
-    for rows in (slice(0, 3 * count), slice(3 * count, None)):
-        missed = residuals(TWO, off)[rows]
-        assert_allclose(missed, expected[rows], atol=0.15 * np.abs(missed).max())
+    on_table = OnTable.of(TWO.shape, off, "own_weight", ModelErrors(pivot_error=0.0))
+    unknowns = priors(TWO.shape, SetupErrors(grasp_offset=1e-3), ModelErrors(), TWO.total_mass, 1)
+    unknowns = unknowns.given(mass=torch.tensor(TWO.truth.mass), friction=torch.tensor(TWO.truth.friction))
+    slopes = on_table.linearized(unknowns, unknowns.start()).slopes.unflatten(0, on_table.read.shape)
+    # the grip is farther along: the object lies back in the hand
+    expected = (-slopes[..., unknowns.at["grasp_offset"]] @ torch.tensor(offset, dtype=torch.float64) / 1e-3).numpy()
+    for rows, places in ((slice(0, 3), PLANAR), (slice(3, None), slice(6, None))):
+        missed = residuals(TWO, off)[:, rows]
+        assert_allclose(missed, expected[:, places], atol=0.15 * np.abs(missed).max())
 
 
 @slow
@@ -171,7 +174,7 @@ def test_a_hinge_that_stands_has_no_row():
     trial = TrialWindows.of(stiff.shape, stiff.total_mass, [trajectory], EXACT)
     assert trial is not None
     equations = trial.friction_equations(stiff.truth)
-    assert equations.hinges is not None and not equations.hinges.any()
+    assert not equations.wide["hinge_friction"].any()
 
 
 @slow
@@ -281,8 +284,8 @@ def test_the_column_of_the_lead_is_what_it_leaves(windows):
     loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
     drag = model.particle_friction(torch.tensor(I2.truth.friction)) * loads.at(torch.tensor(I2.truth.mass))
     mass = model.particle_mass(torch.tensor(I2.truth.mass))
-    rows = LinearRows.of(windows, windows.table(model, errors.pivot_error), mass, drag, errors.lead_error, EXACT_SETUP)
-    column = rows.slopes["lead"][:, :2].flatten()
+    table = windows.table(model, errors.pivot_error).dragged(drag)
+    column = errors.lead_error * table.linearized({"mass": mass} | zeros(lead=()))[1]["lead"][:, :2].flatten()
     left = missing(windows).flatten()
     size = float(column @ left / (column @ column))
     assert 0.5 < size < 1.5 and float((left - size * column).norm()) < 0.7 * float(left.norm())
@@ -291,5 +294,5 @@ def test_the_column_of_the_lead_is_what_it_leaves(windows):
 def test_what_does_not_accelerate_has_no_lead(windows):
     still = replace(windows, twists=windows.twists.mean(1, keepdim=True).expand_as(windows.twists))
     model = ParticleModel.of(I2.shape)
-    ones = torch.ones(len(model.particles), dtype=torch.float64)
-    assert not LinearRows.of(still, still.table(model), ones, ones, 0.02, EXACT_SETUP).slopes["lead"].any()
+    table = still.table(model).dragged(torch.ones(len(model.particles), dtype=torch.float64))
+    assert not table.linearized(zeros(lead=()))[1]["lead"].any()

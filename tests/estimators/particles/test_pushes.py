@@ -8,10 +8,10 @@ import pytest
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.quasi_static import Drag
-from estimators.particles import friction_system
-from estimators.particles.friction_system import LoadGroups, rank_of
+from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
+from estimators.posterior import table_errors
 from estimators.registry import build_method
 from estimators.testing.analytic_push import analytic_pushes, drag_of, steady_pushes
 from estimators.testing.analytic_world import drawn_object
@@ -138,7 +138,7 @@ def test_windows_are_of_the_stretch_in_contact_that_the_camera_saw():
 
 @pytest.mark.slow
 def test_intervals_hold_under_a_camera(monkeypatch):
-    monkeypatch.setattr(friction_system, "PUSH_ERROR", 0.0)  # this world has no errors but the camera's
+    monkeypatch.setattr(table_errors, "PUSH_ERROR", 0.0)  # this world has no errors but the camera's
     rng, inside = np.random.default_rng(1), []
     for seed in range(10):
         trials = steady_pushes(BLOCKS, rng.uniform(-0.2, 0.2, (12, 2)), seconds=2.0)

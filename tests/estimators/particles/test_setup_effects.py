@@ -1,4 +1,4 @@
-"""Columns of an inexact setup: each is the change of the wrenches where the setup really is so."""
+"""Errors of a setup: what each is predicted to change is the change of the wrenches where the setup really is so."""
 
 from dataclasses import replace
 
@@ -9,15 +9,15 @@ from numpy.testing import assert_allclose
 
 from estimators.baselines.optimizers import LeastSquares
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.friction_system import sensor_map
 from estimators.particles.observe import observe
-from estimators.particles.setup_effects import LinearRows, setup_effects
+from estimators.particles.windows import PLANAR
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.priors import priors
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
-from estimators.wrench.model import ParticleModel
+from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
-from testbed.objects.model import GRAVITY
-from testbed.worlds.setup_errors import SetupErrors
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
 
 OBJECT, BESIDE = drawn_object(0), np.array([0.01, 0.015])
@@ -33,15 +33,18 @@ def observed(trials):
     return windows
 
 
-def effects(trials, setup):
-    windows = observed(trials)
-    model = ParticleModel.of(OBJECT.shape)
-    mass = model.particle_mass(torch.tensor(OBJECT.truth.mass))
-    drag = model.particle_friction(torch.tensor(OBJECT.truth.friction)) * mass * GRAVITY
-    to_wrench = sensor_map(windows, torch.zeros(len(windows), 3, 3, dtype=torch.float64))
-    rows = LinearRows.of(windows, windows.table(model, spread=bool(setup.contact_points)), mass, drag, 0.0, setup)
-    found = setup_effects(windows, rows, to_wrench, setup)
-    return {kind: columns.numpy() for kind, columns in found.items()}
+def change(trials, setup=EXACT_SETUP, **errors):
+    """Change of the planar wrenches that errors of a setup are predicted to make."""
+    windows = replace(observed(trials), setup=setup)
+    on_table = OnTable.of(OBJECT.shape, windows, "own_weight", ModelErrors())
+    theta = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
+
+    def rows(theta):
+        predict = torch.vmap(lambda window: on_table.predict(theta, window))
+        return predict(on_table.table.windows)[:, PLANAR].numpy().ravel()
+
+    off = {name: torch.as_tensor(value, dtype=torch.float64) for name, value in errors.items()}
+    return rows(theta | off) - rows(theta)
 
 
 def wrenches(trials):
@@ -64,16 +67,11 @@ def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its
         assert float((sharp.rows({}) - mean)[:, :2].norm(dim=1).min()) > 0.4
 
 
-def test_an_exact_setup_has_none():
-    assert effects([analytic_trial(OBJECT, ACTIONS[0])], SetupErrors()) == {}
-
-
 def test_a_grasp_offset_moves_the_object_in_the_hand():
     offset = np.array([1e-4, -5e-5])
     plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
     beside = [held_beside(OBJECT, action, offset) for action in ACTIONS]
-    columns = effects(plain, SetupErrors(grasp_offset=0.001))["grasp_offset"]
-    predicted = columns @ (-offset / 0.001)
+    predicted = change(plain, grasp_offset=-offset)
     assert_allclose(predicted, wrenches(beside) - wrenches(plain), atol=0.03 * np.abs(predicted).max())
 
 
@@ -82,39 +80,30 @@ def test_an_anisotropic_table_drags_more_one_way(part, off):
     direction = 0.4  # friction along `direction` is over the mean by `part`, and across it under the mean by as much
     plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
     grained = [on_anisotropic_table(OBJECT, t, (1 - part) / (1 + part), direction) for t in plain]
-    columns = effects(plain, SetupErrors(anisotropy=part))["anisotropy"]
-    c, s = np.cos(2 * direction), np.sin(2 * direction)
-    predicted = columns @ [c, s, c * c / 3**0.5, c * s, s * s / 3**0.5]
-    change = (1 - part**2) ** 0.5 * wrenches(grained) - wrenches(plain)
-    assert_allclose(predicted, change, atol=off * np.abs(change).max())
+    predicted = change(plain, anisotropy=part * np.array([np.cos(2 * direction), np.sin(2 * direction)]))
+    changed = (1 - part**2) ** 0.5 * wrenches(grained) - wrenches(plain)
+    assert_allclose(predicted, changed, atol=off * np.abs(changed).max())
 
 
 def test_groups_of_more_friction_drag_more():
     more = replace(OBJECT, truth=replace(OBJECT.truth, mass=OBJECT.truth.mass * [1.02, 1, 1, 1, 1, 1]))
     plain, harder = ([analytic_trial(obj, Slide(0, 0.3))] for obj in (OBJECT, more))
-    columns = effects(plain, SetupErrors(group_friction=0.02))["group_friction"]
-    assert_allclose(columns[:, 0], wrenches(harder) - wrenches(plain), atol=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["gain", "crosstalk", "mounting_angle", "delay"])
-def test_errors_of_the_sensor_are_parts_of_what_it_measures(kind):
-    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
-    doubled = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in plain]
-    one, two = (effects(trials, SetupErrors(**{kind: 0.01}))[kind] for trials in (plain, doubled))
-    assert_allclose(two, 2 * one, atol=1e-12)
-    assert np.abs(one).max() > 1e-4
+    assert_allclose(change(plain, group_friction=[0.02, 0, 0, 0, 0, 0]), wrenches(harder) - wrenches(plain), atol=1e-6)
 
 
 def test_a_gain_of_all_axes_scales_the_wrench():
     plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
-    columns = effects(plain, SetupErrors(gain=0.01))["gain"]
-    force = columns.sum(axis=1).reshape(-1, 3)[:, :2]
-    assert_allclose(force, 0.01 * wrenches(plain).reshape(-1, 3)[:, :2], atol=1e-9)
+    scaled = change(plain, gain=[0.01] * 6).reshape(-1, 3)
+    assert_allclose(scaled, 0.01 * wrenches(plain).reshape(-1, 3), atol=1e-5)
 
 
 def test_where_all_move_alike_the_pattern_of_contact_does_not_matter():
-    slid = effects([analytic_trial(OBJECT, Slide(0, 0.3))], SetupErrors(contact_points=3))["contact_points"]
-    turned = effects([analytic_trial(OBJECT, ACTIONS[0])], SetupErrors(contact_points=3))["contact_points"]
+    few = SetupErrors(contact_points=3)
+    shape = priors(OBJECT.shape, few, ModelErrors(), 1.0, 1).blocks["contact_points"].mean.shape
+    pattern = 0.1 * np.random.default_rng(0).standard_normal(shape)
+    pattern[:, :2] = 0.0  # those that carry a group off its middle
+    slid = change([analytic_trial(OBJECT, Slide(0, 0.3))], few, contact_points=pattern)
+    turned = change([analytic_trial(OBJECT, ACTIONS[0])], few, contact_points=pattern)
     assert np.abs(slid).max() < 1e-9 and np.abs(turned).max() > 1e-3
 
 

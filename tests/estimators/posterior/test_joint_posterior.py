@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles import friction_system, links, setup_effects
+from estimators.particles import links
 from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
@@ -117,8 +117,8 @@ def test_derivatives_are_those_of_the_rows(kind):
 def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     for module, name in ((links, "FORCE_ERROR"), (links, "HINGE_ERROR"), (links, "RESTING")):
         monkeypatch.setattr(module, name, 1e-6 * getattr(module, name))
-    for module, name in ((friction_system, "PUSH_ERROR"), (setup_effects, "SLOW"), (table_errors, "SWING")):
-        monkeypatch.setattr(module, name, 1e-6 * getattr(module, name))
+    for name in ("PUSH_ERROR", "SLOW", "SWING"):
+        monkeypatch.setattr(table_errors, name, 1e-6 * getattr(table_errors, name))
     monkeypatch.setattr(Observations, "twist_noise", torch.zeros(3, dtype=torch.float64))
     monkeypatch.setattr(solver, "TOLERANCE", 1e-12)
     model, (planned, scale), unknowns = problem(kind, loaded=False)

@@ -13,6 +13,7 @@ from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
+from estimators.posterior.on_table import OnTable
 from estimators.registry import build_method
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes, steady_pushes
@@ -140,17 +141,6 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
     assert_allclose(found, wrench - even, atol=2e-3 * np.abs(wrench - even).max())
 
 
-def test_second_order_changes_are_those_of_their_differences():
-    table, _ = at_truth(OBJECT, windows_of(OBJECT, turns(OBJECT, [0])))
-    size = 0.05
-    bends = table.bends("anisotropy", size)
-    for a, b in ((0.03, 0.0), (0.0, -0.04), (0.03, 0.04)):
-        both = [table.rows({"anisotropy": torch.tensor([way * a, way * b]).double()}) for way in (1, -1)]
-        second = (both[0] + both[1]) / 2 - table.rows({})
-        expected = (bends @ torch.tensor([a**2, a * b, b**2]).double()) / size**2
-        assert_allclose(second, expected, atol=0.02 * float(expected.abs().max()))
-
-
 @pytest.mark.parametrize(
     "trials",
     [
@@ -161,11 +151,9 @@ def test_second_order_changes_are_those_of_their_differences():
     ],
 )
 def test_masses_come_back_from_predicted_wrenches(trials):
-    windows = windows_of(OBJECT, trials())
-    windows = replace(windows, lift=0 * windows.lift, tilt=0 * windows.tilt, load_kept=0 * windows.load_kept)
-    windows = replace(windows, load_followed=0 * windows.load_followed)
-    table, truth = at_truth(OBJECT, windows)
-    measured = replace(windows, wrench=table.rows(truth))
+    on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials()), "own_weight", SHARP)
+    truth = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
+    measured = on_table.predicting(truth).windows
     found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, measured, SHARP)
     guess = found.first_guess()
     for _ in range(8):

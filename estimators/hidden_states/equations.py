@@ -1,0 +1,118 @@
+"""The linear system Q s = b of the friction loads s = mu m g, Eq. dvs, with its errors and its rank.
+
+Rows are those of the joint posterior about a guess of masses and frictions: all six components that the sensor shows,
+and the torques about hinges. The gripper's load and every stated error are marginalized in their covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimators.hidden_states.masses import friction_loads
+from estimators.particles.links import HINGE_PRIOR
+from estimators.particles.load_groups import LoadGroups, rank_of
+from estimators.particles.misfit import Misfit
+from estimators.posterior.on_table import OnTable
+from estimators.posterior.priors import priors
+from estimators.wrench.model import ModelErrors
+from testbed.objects.model import MassDistribution
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """Q s = b, whitened: every row has unit variance."""
+
+    q: Float[Tensor, "R n_s"]
+    b: Float[Tensor, "R"]
+    whiten: Float[Tensor, "R R"]
+    """Inverse root of the rows' covariance, which whitened them."""
+
+    @property
+    def rank(self) -> int:
+        """rank(Q)."""
+        return rank_of(self.q.numpy())
+
+    def loss(self, s: Float[np.ndarray, "n_s"]) -> float:
+        """Mean squared residual, Eq. problem_si in units of the data's own error."""
+        return float((self.q @ torch.tensor(s) - self.b).square().mean())
+
+    def misfit(self, s: Float[np.ndarray, "n_s"]) -> Misfit:
+        """Misfit of fitted friction loads, N."""
+        freedom = len(self.b) - len(s)
+        return Misfit(self.loss(s) * len(self.b) / max(freedom, 1), freedom)
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionEquations:
+    """Q s = b in N and N m, r = 6 + H rows a window, with its errors."""
+
+    q: Float[Tensor, "K r n_s"]
+    b: Float[Tensor, "K r"]
+    covariance: Float[Tensor, "K r K r"]
+    """Covariance of the rows, the errors of `wide` apart."""
+    wide: dict[str, Float[Tensor, "K r n"]]
+    """Effects of one standard deviation of what is open beforehand: `hinge_friction`, `center` and `inertia`."""
+
+    @staticmethod
+    def about(on_table: OnTable, weight: float, at: MassDistribution, errors: ModelErrors) -> FrictionEquations:
+        """Equations about a guess of masses and frictions, which scale the errors and the effect of the gripper's load.
+
+        Args:
+            on_table: windows of constant speed or acceleration.
+            weight: M, kg.
+            at: the guess; the wrench that its motion takes is taken off the rows.
+            errors: errors of the model.
+        """
+        shape, groups = on_table.shape, LoadGroups.of(on_table.table.model)
+        unknowns = priors(shape, on_table.windows.setup, errors, weight, on_table.trials)
+        unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
+        found, q = on_table.linearized(unknowns, unknowns.start()), groups.gather(on_table.drag_rows)
+        rows, wide = q.shape[:2], {}
+        slopes = found.slopes.unflatten(0, rows)
+        if (hinges := unknowns.at.get("hinge_friction")) is not None:
+            wide["hinge_friction"] = slopes[..., hinges]
+            slopes = torch.cat([slopes[..., : hinges.start], slopes[..., hinges.stop :]], -1)
+        covariance = slopes.flatten(0, 1) @ slopes.flatten(0, 1).T
+        for places, blocks in found.blocks:
+            covariance[places[:, :, None], places[:, None]] += blocks
+        b = q @ torch.tensor(friction_loads(shape, groups.pairs, at)) - found.residual.unflatten(0, rows)
+        return FrictionEquations(q, b, covariance.unflatten(0, rows).unflatten(-1, rows), wide)
+
+    def where(self, keep: Tensor) -> FrictionEquations:
+        """Equations of the windows that `keep` selects, (K,) of booleans or their places."""
+        wide = {name: effects[keep] for name, effects in self.wide.items()}
+        return FrictionEquations(self.q[keep], self.b[keep], self.covariance[keep][:, :, keep], wide)
+
+    def whitened(self) -> LinearSystem:
+        """The system in units of its errors, those of `wide` marginalized."""
+        whiten = torch.linalg.inv(_root(self.covariance))
+        # in units of the other errors first: these are larger by many orders
+        wide = torch.cat([self.q[..., :0], *self.wide.values()], -1).flatten(0, 1)
+        ways, size, _ = torch.linalg.svd(whiten @ wide, full_matrices=False)
+        whiten = whiten - (ways * (1 - (1 + size.square()).rsqrt())) @ (ways.T @ whiten)
+        return LinearSystem(whiten @ self.q.flatten(0, 1), whiten @ self.b.flatten(), whiten)
+
+    def hinge_friction(self) -> tuple[Float[np.ndarray, "H"], Float[np.ndarray, "H"]] | None:
+        """Torque of friction of every hinge, N m, and its standard deviation; None of a rigid object.
+
+        With the friction loads as they fit best; one that the trials do not show has the spread of `HINGE_PRIOR`.
+        """
+        if (hinges := self.wide.get("hinge_friction")) is None:
+            return None
+        count, rows = hinges.shape[-1], torch.cat([hinges, self.q, self.b[..., None]], -1).flatten(0, 1)
+        white = torch.linalg.solve_triangular(_root(self.covariance), rows, upper=False)
+        design = white[:, :-1]
+        prior = (torch.arange(design.shape[1]) < count).double().diag()
+        spread = torch.linalg.pinv(design.T @ design + prior, hermitian=True)
+        torque, variance = (spread @ (design.T @ white[:, -1]))[:count], spread.diagonal()[:count]
+        return HINGE_PRIOR * torque.numpy(), HINGE_PRIOR * variance.sqrt().numpy()
+
+
+def _root(covariance: Float[Tensor, "K r K r"]) -> Float[Tensor, "R R"]:
+    """Cholesky root of the covariance of all rows."""
+    return torch.linalg.cholesky(covariance.flatten(0, 1).flatten(1))

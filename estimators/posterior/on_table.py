@@ -69,7 +69,9 @@ class OnTable:
         }
         if windows.articulated:
             fields["beside"] = _beside(model, table, windows)
-        table = Table(model, table.points, _halved(table.windows) | fields, table.pivot_error)
+        # links turn within a window, a rigid object hardly does
+        parts = table.windows if windows.articulated else _halved(table.windows)
+        table = Table(model, table.points, parts | fields, table.pivot_error)
         return OnTable(shape, windows, table, contact_patterns(model, table.points)[0], errors)
 
     @cached_property

@@ -43,7 +43,7 @@ METHODS_HELD = {
 QUICK = ("hidden_states", "bayes", "support_aware", "least_squares", "random_search")
 """One of each kind; CI asks the others."""
 ASKED = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METHODS_HELD]
-SEARCHES = ("random_search", "weighted_sampling", "diff_lcp", "nelder_mead")
+SEARCHES = ("random_search", "weighted_sampling", "diff_lcp")
 """Methods whose search ends far from the best masses with these settings."""
 
 

@@ -223,7 +223,9 @@ def _observations(
         facing = motion.poses[:, WINDOW_PARTS // 2, 2].tolist()
         sensor = torch.tensor(np.array([rotate_wrench(rotation_z(-yaw), to_tcp().T).T for yaw in facing]))
     nulled = (errors or ModelErrors()).nulled
-    size, change = nulled_load(nulled, motion.accelerated.numpy(), motion.pushed.numpy(), carried)
+    size, change = nulled_load(
+        nulled, motion.accelerated.numpy(), motion.pushed.numpy(), carried, links=shape.chain is not None
+    )
     return Observations(
         **vars(motion),
         setup=setup,

@@ -31,17 +31,17 @@ HINGE_PRIOR = 1.0
 
 
 def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupErrors) -> Float[Tensor, ""]:
-    """Moment that the hand may carry of an object in links, N m, one standard deviation; 0 of a rigid one.
+    """Moment that the hand may carry of weights beside the middles of their feet, N m, one standard deviation.
 
-    The hand is nulled before it moves. Then each link turns, and with it the moment of its weight beside the middle of
-    its feet: of even masses, their weight being twice the `drag`, N. On unknown points an uneven table shifts more.
+    Of even masses, their weight being twice the `drag`, N. A hand that grips such a group holds its moment, and where
+    links turn, their moments turn with them; an uneven table under unknown points shifts more.
     """
-    if not len(model.hinges):
+    if not model.stands_in_groups:
         return torch.zeros((), dtype=torch.float64)
     group = torch.nn.functional.one_hot(model.mass_group).double().T
     material, feet = group * model.fill, group * model.contact
     beside = material @ model.particles / material.sum(1, keepdim=True) - feet @ model.particles / feet.sum(1)[:, None]
-    shifted = model.reach * (UNEVEN if setup.contact_points else 0.0)
+    shifted = model.reach * (UNEVEN if setup.contact_points and len(model.hinges) else 0.0)
     return 2 * drag * torch.hypot((group.mean(1) * beside.norm(dim=1)).norm(), shifted)
 
 

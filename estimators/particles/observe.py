@@ -71,6 +71,7 @@ def observe(
         errors.nulled,
         np.array([w.grasp is None for w in windows]),
         float(carried_moment(ParticleModel.of(shape), drag, setup)),
+        links=shape.chain is not None,
     )
     motion = Motion.of(shape, windows, trial, accelerated)
     from_sensor = np.array([w.from_sensor for w in windows])

@@ -77,15 +77,17 @@ def nulled_load(
     accelerated: Bool[np.ndarray, "K"],
     pushed: Bool[np.ndarray, "K"],
     carried: float = 0.0,
+    *,
+    links: bool = False,
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
     """Mean load of a gripper over a trial, and its change from window to window, N and N m, one standard deviation.
 
     Of a gripper that was nulled, before any measurement; arguments as `shrunken_load`.
     """
-    of_links = carried * np.array([0.0, 1.0, 1.0])
-    change = np.maximum(np.where(accelerated[:, None], SWUNG, TURNED), of_links)
+    beside = carried * np.array([0.0, 1.0, 1.0])
+    change = np.maximum(np.where(accelerated[:, None], SWUNG, TURNED), links * beside)
     held = ~pushed[:, None]
-    return np.where(held, np.maximum(nulled, of_links), PUSHED), np.where(held, change, PUSHED)
+    return np.where(held, np.maximum(nulled, beside), PUSHED), np.where(held, change, PUSHED)
 
 
 def shrunken_load(
@@ -97,6 +99,8 @@ def shrunken_load(
     nulled: Float[np.ndarray, "3"],
     pushed: Bool[np.ndarray, "K"],
     carried: float = 0.0,
+    *,
+    links: bool = False,
 ) -> ShrunkenLoad:
     """Loads of K windows with the sensor's likely error taken off, and how large mean and change are.
 
@@ -112,10 +116,11 @@ def shrunken_load(
         accelerated: True for windows of an accelerated turn: an arm that swings carries loads of another size.
         nulled: mean load of a nulled gripper over a trial, one standard deviation.
         pushed: True for windows of a push: a fingertip's load is not nulled, and taken as measured.
-        carried: moment that the hand carries of links that trail, one standard deviation, N m.
+        carried: moment that the hand carries of weights beside their feet, one standard deviation, N m.
+        links: True of an object in links, of which that moment changes as they turn.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
-    size, change_size = nulled_load(nulled, accelerated, pushed, carried)
+    size, change_size = nulled_load(nulled, accelerated, pushed, carried, links=links)
     for rows in (accelerated, ~accelerated & ~pushed):
         if not rows.any():
             continue

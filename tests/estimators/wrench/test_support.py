@@ -9,14 +9,16 @@ from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 from torch import Tensor
 
+from estimators.particles.links import carried_moment
 from estimators.testing.analytic_world import drawn_object, foundation
 from estimators.wrench.model import ParticleModel, rotate
-from estimators.wrench.support import LOADS, GripperLoad, Springs, own_weight_loads, rigid_loads
+from estimators.wrench.support import LOADS, GripperLoad, Springs, nulled_load, own_weight_loads, rigid_loads
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.simulation.contacts import foot_stiffness, resting_loads
 from testbed.simulation.settings import ContactSettings
 from testbed.trial import Support
+from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.helpers.blocks import blocks
 
 OBJECT = drawn_object(0, friction_groups=2)
@@ -195,3 +197,16 @@ def test_the_weight_and_its_moments_stay_and_slopes_are_continuous(name, share):
     slope = torch.func.jacrev(lambda s: springs.joined(own, s))(at)
     for step in (-1e-7, 1e-7):
         assert_allclose((springs.joined(own, at + step) - joined) / step, slope, rtol=1e-4, atol=1e-5)
+
+
+def test_a_hand_may_carry_the_weight_of_groups_beside_their_feet():
+    drag = torch.tensor(4.0, dtype=torch.float64)
+    block, hammer = (ParticleModel.of(load_object(name).shape) for name in ("L2", "hammer"))
+    assert float(carried_moment(block, drag, EXACT_SETUP)) < 1e-12
+    moment = float(carried_moment(hammer, drag, EXACT_SETUP))
+    assert 0.01 < moment < 8.0 * float(hammer.reach)  # the weight at the reach
+    nulled, still, pushed = np.array([0.06, 5e-4, 5e-4]), np.array([False]), np.array([False])
+    for links in (False, True):
+        mean, change = nulled_load(nulled, still, pushed, moment, links=links)
+        assert_allclose(mean, [[0.06, moment, moment]])
+        assert (change[0, 1:] == moment).all() == links

@@ -84,15 +84,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--secret")
     given = parser.parse_args()
-    sets, lines = (
-        {},
-        [["trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", "answers"]],
-    )
+    sets = {}
+    lines = [["trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", "answers"]]
     for kind in KINDS:
-        folder, scenario = (
-            given.folder / kind.replace(", ", "_").replace(" ", "_"),
-            scenario_of(kind, given.objects, given.seeds),
-        )
+        folder = given.folder / kind.replace(", ", "_").replace(" ", "_")
+        scenario = scenario_of(kind, given.objects, given.seeds)
         with show_progress() as progress:
             run_scenario(scenario, folder, given.workers, progress, secret=given.secret)
         sets[kind] = sets_of(folder)

@@ -68,8 +68,9 @@ class MujocoSysid(Peer):
         first = coordinates.candidates(coordinates.start[None])
         guess = ObjectModel("guess", shape, MassDistribution(first.mass[0].numpy(), first.friction[0].numpy()))
         # of planar wrenches given the others, which show the gripper's load that its rollouts get
+        given = problem.sensed.whiten
         planar = (6 * torch.arange(len(windows))[:, None] + torch.tensor(PLANAR)).flatten()
-        whiten = torch.linalg.cholesky((problem.whiten.T @ problem.whiten)[planar[:, None], planar]).T.numpy()
+        whiten = torch.linalg.cholesky((given.T @ given)[planar[:, None], planar]).T.numpy()
         wrench = windows.wrench.numpy()
         weighing = Weighing.of(shape, ModelErrors.weight_error, windows.setup)
         measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, weighing.error)

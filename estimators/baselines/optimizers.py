@@ -130,7 +130,7 @@ def _covariance(
         return problem.residuals(mass, friction, "covariance")
 
     slopes = torch.autograd.functional.jacobian(missed, (mass, friction))
-    rows = torch.cat(slopes, 1).numpy() * math.sqrt(len(problem.whiten))
+    rows = torch.cat(slopes, 1).numpy() * math.sqrt(len(problem.sensed.whiten))
     if problem.weight is not None:
         weighing = Weighing.of(problem.shape, ModelErrors.weight_error, problem.windows.setup)
         rows = np.vstack([rows, weighing.row(rows.shape[1])])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -38,6 +39,17 @@ Weighting = Literal["velocity", "covariance"]
 
 
 @dataclass(frozen=True, eq=False)
+class SensedRows:
+    """All six components that the sensor shows, of a gripper that carries nothing, and their errors."""
+
+    model: WrenchModel
+    read: Float[Tensor, "K 6"]
+    """Components as measured, about the TCP, N and N m."""
+    whiten: Float[Tensor, "6K 6K"]
+    """Map of their residuals to unit variance, by the errors of sensor and model and the gripper's load."""
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Data of a search: the windows of one object, and M if the search gets it."""
 
@@ -47,15 +59,13 @@ class Problem:
     loads: AffineLoads
     wrenches: WrenchModel
     """Planar wrenches, with the gripper's measured load."""
-    sensed: WrenchModel
-    """All six components that the sensor shows, of a gripper that carries nothing."""
-    read: Float[Tensor, "K 6"]
-    """All six as measured, about the TCP."""
     weight: float | None
     """M [kg], or None if the method does not get it."""
-    whiten: Tensor
-    """Map of the residuals of all six to unit variance, by the errors of sensor and model and the gripper's load,
-    (6 K, 6 K)."""
+    errors: ModelErrors
+    """Errors of the model on its support."""
+    support: SupportModel
+    draws: tuple[Problem, ...] = ()
+    """Problems that this one stacks."""
 
     @staticmethod
     def of(
@@ -90,8 +100,7 @@ class Problem:
         loads = AffineLoads.of(shape, model, windows, LOADS[support])
         wrenches = WrenchModel.of(model, windows, loads, errors.pivot_error)
         known = weight if use_weight else None
-        sensed, read, whiten = _sensed(shape, model, windows, known, errors, support)
-        return Problem(shape, model, windows, loads, wrenches, sensed, read, known, whiten)
+        return Problem(shape, model, windows, loads, wrenches, known, errors, support)
 
     @staticmethod
     def stacked(draws: Sequence[Problem]) -> Problem:
@@ -101,10 +110,18 @@ class Problem:
             windows=Observations.stacked([draw.windows for draw in draws]),
             loads=AffineLoads.stacked([draw.loads for draw in draws]),
             wrenches=WrenchModel.stacked([draw.wrenches for draw in draws]),
-            sensed=WrenchModel.stacked([draw.sensed for draw in draws]),
-            read=torch.stack([draw.read for draw in draws])[:, None],
-            whiten=torch.stack([draw.whiten for draw in draws]),
+            draws=tuple(draws),
         )
+
+    @cached_property
+    def sensed(self) -> SensedRows:
+        """Rows of the loss that is weighed by covariance."""
+        if not self.draws:
+            return _sensed(self.shape, self.model, self.windows, self.weight, self.errors, self.support)
+        each = [draw.sensed for draw in self.draws]
+        model = WrenchModel.stacked([rows.model for rows in each])
+        read, whiten = torch.stack([rows.read for rows in each]), torch.stack([rows.whiten for rows in each])
+        return SensedRows(model, read[:, None], whiten)
 
     @property
     def layout(self) -> tuple[float, ...]:
@@ -159,13 +176,14 @@ class Problem:
     ) -> Float[Tensor, "R"]:
         """Residuals whose squares sum to `loss`."""
         if weighting == "covariance":
-            return self._whitened(mass, friction) / math.sqrt(len(self.whiten))
+            return self._whitened(mass, friction) / math.sqrt(len(self.sensed.whiten))
         along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
         return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
 
     def _whitened(self, mass: Tensor, friction: Tensor) -> Float[Tensor, "... 6K"]:
         """Residuals of all six components in units of their errors."""
-        return (self.read - self.sensed.wrench(mass, friction)).flatten(-2) @ self.whiten.mT
+        rows = self.sensed
+        return (rows.read - rows.model.wrench(mass, friction)).flatten(-2) @ rows.whiten.mT
 
     def _missing_acceleration(self, mass: Tensor, missing: Float[Tensor, "... K 3"]) -> tuple[Tensor, Tensor]:
         """Acceleration of the center of mass and of the turn by a missing wrench, shapes (..., K, 2) and (..., K)."""
@@ -182,7 +200,7 @@ def _sensed(
     weight: float | None,
     errors: ModelErrors,
     support: SupportModel,
-) -> tuple[WrenchModel, Float[Tensor, "K 6"], Float[Tensor, "6K 6K"]]:
+) -> SensedRows:
     """Model of all six components, their values, and the inverse root of their covariance.
 
     The covariance has the errors that Algorithm 1 counts, on own weight at the masses that its friction loads give with
@@ -199,5 +217,5 @@ def _sensed(
     covariance = equations.covariance[:, :6, :, :6].flatten(0, 1).flatten(1)
     per_mass = on_table.table.windows["per_mass"]
     loads = AffineLoads(per_mass, torch.zeros_like(per_mass[..., 0]))
-    sensed = WrenchModel.by_rows(model, on_table.inertial_rows[:, :6], on_table.drag_rows[:, :6], loads)
-    return sensed, on_table.read[:, :6], torch.linalg.inv(torch.linalg.cholesky(covariance))
+    found = WrenchModel.by_rows(model, on_table.inertial_rows[:, :6], on_table.drag_rows[:, :6], loads)
+    return SensedRows(found, on_table.read[:, :6], torch.linalg.inv(torch.linalg.cholesky(covariance)))

@@ -57,7 +57,7 @@ def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver
 
     Args:
         trials: steady and accelerated windows, M and the groups G_s.
-        guess: mass and friction by which the gripper's load is taken off the windows; nothing else comes from it.
+        guess: mass and friction about which the rows are linear; they scale their errors and the gripper's load.
         solve: minimizer of Eq. problem_si.
     """
     M, groups, n_s = trials.weight, trials.groups.pairs, len(trials.groups.pairs)

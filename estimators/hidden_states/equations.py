@@ -56,7 +56,7 @@ class FrictionEquations:
     covariance: Float[Tensor, "K r K r"]
     """Covariance of the rows, the errors of `wide` apart."""
     wide: dict[str, Float[Tensor, "K r n"]]
-    """Effects of one standard deviation of what is open beforehand: `hinge_friction`, `center` and `inertia`."""
+    """Effects of one standard deviation of errors with wide priors: `hinge_friction`, `center` and `inertia`."""
 
     @staticmethod
     def about(on_table: OnTable, weight: float, at: MassDistribution, errors: ModelErrors) -> FrictionEquations:
@@ -83,6 +83,11 @@ class FrictionEquations:
         b = q @ torch.tensor(friction_loads(shape, groups.pairs, at)) - found.residual.unflatten(0, rows)
         return FrictionEquations(q, b, covariance.unflatten(0, rows).unflatten(-1, rows), wide)
 
+    def covariance_with(self, *names: str) -> Float[Tensor, "R R"]:
+        """Covariance of all rows, the named errors of `wide` included."""
+        wide = torch.cat([self.q[..., :0], *(self.wide[name] for name in names)], -1).flatten(0, 1)
+        return self.covariance.flatten(0, 1).flatten(1) + wide @ wide.T
+
     def where(self, keep: Tensor) -> FrictionEquations:
         """Equations of the windows that `keep` selects, (K,) of booleans or their places."""
         wide = {name: effects[keep] for name, effects in self.wide.items()}
@@ -90,7 +95,7 @@ class FrictionEquations:
 
     def whitened(self) -> LinearSystem:
         """The system in units of its errors, those of `wide` marginalized."""
-        whiten = torch.linalg.inv(_root(self.covariance))
+        whiten = torch.linalg.inv(torch.linalg.cholesky(self.covariance_with()))
         # in units of the other errors first: these are larger by many orders
         wide = torch.cat([self.q[..., :0], *self.wide.values()], -1).flatten(0, 1)
         ways, size, _ = torch.linalg.svd(whiten @ wide, full_matrices=False)
@@ -105,14 +110,10 @@ class FrictionEquations:
         if (hinges := self.wide.get("hinge_friction")) is None:
             return None
         count, rows = hinges.shape[-1], torch.cat([hinges, self.q, self.b[..., None]], -1).flatten(0, 1)
-        white = torch.linalg.solve_triangular(_root(self.covariance), rows, upper=False)
+        root = torch.linalg.cholesky(self.covariance_with())
+        white = torch.linalg.solve_triangular(root, rows, upper=False)
         design = white[:, :-1]
         prior = (torch.arange(design.shape[1]) < count).double().diag()
         spread = torch.linalg.pinv(design.T @ design + prior, hermitian=True)
         torque, variance = (spread @ (design.T @ white[:, -1]))[:count], spread.diagonal()[:count]
         return HINGE_PRIOR * torque.numpy(), HINGE_PRIOR * variance.sqrt().numpy()
-
-
-def _root(covariance: Float[Tensor, "K r K r"]) -> Float[Tensor, "R R"]:
-    """Cholesky root of the covariance of all rows."""
-    return torch.linalg.cholesky(covariance.flatten(0, 1).flatten(1))

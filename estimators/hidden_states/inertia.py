@@ -87,11 +87,11 @@ def pivot_inertias(
     values, variances = np.empty(len(pivots)), np.empty(len(pivots))
     for j in range(len(pivots)):
         own = places[torch.tensor(index.ravel() == j)]
-        turned, center = equations.where(own), equations.wide["center"][own].flatten(0, 1)
+        turned = equations.where(own)
         of_trial = one_hot(torch.unique(windows.trial[own], return_inverse=True)[1]).double()
         rows = torch.zeros(*turned.b.shape, 2 + of_trial.shape[1], dtype=torch.float64)
         rows[:, 5, 0], rows[:, 5, 1:-1], rows[..., -1] = windows.acceleration[own, 2], of_trial, missing[own]
-        root = torch.linalg.cholesky(turned.covariance.flatten(0, 1).flatten(1) + center @ center.T)
+        root = torch.linalg.cholesky(turned.covariance_with("center"))
         white = torch.linalg.solve_triangular(root, rows.flatten(0, 1), upper=False).numpy()
         design, measured = white[:, :-1], white[:, -1]
         solution, *_ = np.linalg.lstsq(design, measured, rcond=None)

@@ -175,8 +175,7 @@ def _planar(
 ) -> tuple[Float[Tensor, "W 3 G"], Float[Tensor, "W 3"], Float[Tensor, "W 3"]]:
     """Planar rows of the equations given the others, which show the gripper's load: q, b and its standard errors."""
     count, rows = equations.b.shape
-    wide = torch.cat([equations.q[..., :0], *equations.wide.values()], -1).flatten(0, 1)
-    precision = torch.linalg.inv(equations.covariance.flatten(0, 1).flatten(1) + wide @ wide.T)
+    precision = torch.linalg.inv(equations.covariance_with(*equations.wide))
     at = (rows * torch.arange(count)[:, None] + torch.tensor(PLANAR)).flatten()
     values = torch.cat([equations.q, equations.b[..., None]], -1).flatten(0, 1)
     own = precision[at[:, None], at]

@@ -41,8 +41,9 @@ def linearized(
     # not `torch.func.jacrev`, whose first call imports torch's compiler: two to three core-seconds in every process
     for begin in range(0, count, size):
         part = {name: field[begin : begin + size] for name, field in windows.items()}
-        flat = at.repeat(min(size, count - begin), 1).requires_grad_()
-        rows = vmap(rows_of)(flat, part)
+        with torch.enable_grad():  # a caller may have it off
+            flat = at.repeat(min(size, count - begin), 1).requires_grad_()
+            rows = vmap(rows_of)(flat, part)
         each = torch.eye(rows.shape[1], dtype=rows.dtype)[:, None].expand(-1, len(rows), -1)
         slopes = torch.autograd.grad(rows, flat, each, is_grads_batched=True)[0]
         found.append((rows.detach(), slopes.transpose(0, 1)))

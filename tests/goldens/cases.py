@@ -131,7 +131,7 @@ def frozen(case: Case) -> Frozen:
 
 
 def of_equations(case: Case, errors: ModelErrors) -> Frozen:
-    """Q, b and their covariance, effects of what is open beforehand, and I_j, at the true masses."""
+    """Q, b and their covariance, effects of errors with wide priors, and I_j, at the true masses."""
     model, shape = case.model, case.model.shape
     windows = observe(shape, case.trials, errors)
     assert windows is not None

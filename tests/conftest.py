@@ -2,9 +2,12 @@
 anew, by default."""
 
 import os
+from importlib import import_module
 
+import pytest
 from hypothesis import settings
 
+from testbed.parsing import process
 from testbed.worlds import seeds
 
 os.environ.setdefault("MUJOCO_GL", "disable")
@@ -12,3 +15,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 settings.register_profile("busy", deadline=None)
 settings.load_profile("busy")
 seeds.token_hex = lambda _: "tests"
+
+
+@pytest.fixture(autouse=True)
+def parsers_in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    """No process for each file of a quick test; `own_process` and slow tests have them as users do."""
+    if not any(request.node.get_closest_marker(name) for name in ("slow", "own_process")):
+        monkeypatch.setattr(process, "ended", _ended)
+
+
+def _ended(module: str, words: tuple[str, ...], seconds: int) -> tuple[int, str]:
+    reason = process.refusal(import_module(module).main, words)
+    return int(bool(reason)), reason

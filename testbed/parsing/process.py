@@ -10,7 +10,7 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,17 +48,23 @@ def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
         ImportError: a package is not installed; the message is its name.
     """
     seconds = SECONDS + SECONDS_PER_MB * _size(path) // 10**6
-    environment = os.environ | {_LIMITS: str(seconds), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with TemporaryDirectory(prefix="heft_") as folder:
         result = Path(folder) / "result"
-        command = [sys.executable, "-P", "-m", module, str(path), *words, str(result)]
-        try:
-            done = subprocess.run(command, env=environment, capture_output=True, timeout=SLOWER * seconds, check=False)
-        except subprocess.TimeoutExpired:
-            raise ParserError(f"reading it takes more than {seconds} s") from None
-        if done.returncode:
-            _refuse(done.returncode, done.stderr.decode(errors="replace"), seconds)
+        code, said = ended(module, (str(path), *words, str(result)), seconds)
+        if code:
+            _refuse(code, said, seconds)
         yield result
+
+
+def ended(module: str, words: Sequence[str], seconds: int) -> tuple[int, str]:
+    """Exit code and error output of a parser in a process of its own."""
+    environment = os.environ | {_LIMITS: str(seconds), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-P", "-m", module, *words]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, timeout=SLOWER * seconds, check=False)
+    except subprocess.TimeoutExpired:
+        raise ParserError(f"reading it takes more than {seconds} s") from None
+    return done.returncode, done.stderr.decode(errors="replace")
 
 
 def _refuse(code: int, said: str, seconds: int) -> None:
@@ -86,22 +92,28 @@ def run_parser(main: Callable[..., None]) -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(what, (most, most + (what == resource.RLIMIT_CPU)))  # at the harder one a signal says less
-    try:
-        main(*sys.argv[1:])
-    except MemoryError:
-        reason = "MemoryError"
-    except ImportError as error:
-        reason = f"ImportError: {error.name}"
-    except OSError as error:
-        full = error.errno == errno.EFBIG and error.filename is None  # of the result, not of a file that is read
-        reason = "OutputError" if full else f"refused: {error.strerror or error}"
-    except BaseException as error:
-        reason = f"refused: {str(error) or type(error).__name__}"
-    else:
+    reason = refusal(main, sys.argv[1:])
+    if not reason:
         sys.exit(0)
-    print(" ".join(reason.splitlines()), file=sys.stderr)
+    print(reason, file=sys.stderr)
     sys.stderr.flush()
     os._exit(1)  # no more memory is asked for
+
+
+def refusal(main: Callable[..., None], words: Sequence[str]) -> str:
+    """Reason why a parser ends without a result, in a line; empty where it has one."""
+    try:
+        main(*words)
+    except MemoryError:
+        return "MemoryError"
+    except ImportError as error:
+        return f"ImportError: {error.name}"
+    except OSError as error:
+        full = error.errno == errno.EFBIG and error.filename is None  # of the result, not of a file that is read
+        return "OutputError" if full else f"refused: {error.strerror or error}"
+    except BaseException as error:
+        return " ".join(f"refused: {str(error) or type(error).__name__}".splitlines())
+    return ""
 
 
 def _size(path: Path) -> int:

@@ -14,6 +14,7 @@ from testbed.packages import hidden_package
 from testbed.parsing import process
 from testbed.parsing.process import ParserError, parsed
 
+pytestmark = pytest.mark.own_process
 PARSER = """
 import sys
 from testbed.parsing.process import run_parser

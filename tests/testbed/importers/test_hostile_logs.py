@@ -11,6 +11,7 @@ from testbed.importers.messages import open_messages
 from testbed.importers.tables import CsvLog
 
 writer = pytest.importorskip("mcap.writer")
+pytestmark = pytest.mark.own_process
 
 
 def written(path: Path, kind: str, encoding: str, definition: str) -> Path:

@@ -211,21 +211,23 @@ def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_obj
 def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """A status other than ok, or a misfit over its limit, from which heft gives the status itself."""
     obj = draw(0)
-    for trials in (data(obj) + opposed(obj), data(obj) + of_another(obj)):
+    for trials in ([*data(obj), *opposed(obj)], [*data(obj), *of_another(obj)]):
         answer = estimator.estimate(obj.shape, obj.total_mass, trials, 0)
         misfit = answer.diagnostics.get("misfit", 0.0)
         assert answer.status != "ok" or misfit > UNEXPLAINED, f"status ok, diagnostics {answer.diagnostics}"
 
 
-def opposed(obj: ObjectModel) -> list[Trajectory]:
+@lru_cache(maxsize=8)
+def opposed(obj: ObjectModel) -> tuple[Trajectory, ...]:
     """Turns with reversed wrenches."""
-    return [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj)]
+    return tuple(replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in turns(obj))
 
 
-def of_another(obj: ObjectModel) -> list[Trajectory]:
+@lru_cache(maxsize=8)
+def of_another(obj: ObjectModel) -> tuple[Trajectory, ...]:
     """Turns of an object of the same shape and weight, its masses the other way round."""
     swapped = MassDistribution(obj.truth.mass[::-1] ** 2 / np.mean(obj.truth.mass), obj.truth.friction)
-    return turns(replace(obj, truth=swapped))
+    return tuple(turns(replace(obj, truth=swapped)))
 
 
 CONFORMANCE: tuple[Callable[..., None], ...] = (

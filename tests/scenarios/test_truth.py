@@ -234,6 +234,7 @@ def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(t
     assert redacted("grip: drag of up to 26.49 N at block A") == "grip: refused by the bench"
 
 
+@pytest.mark.slow
 def test_a_guessed_map_does_not_repeat_the_noise_of_its_trials(tmp_path: Path, monkeypatch):
     """An estimator that knows that blocks weigh 0.1 or 0.4 kg tries every map, and the noise that it would have."""
     (tmp_path / "guesser.py").write_text(GUESSER, encoding="utf-8")

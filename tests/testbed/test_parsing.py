@@ -66,6 +66,7 @@ def test_a_file_that_asks_for_too_much_is_refused(does: str, reason: str, run):
         run(does)
 
 
+@pytest.mark.slow
 def test_time_and_output_end(run, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(process, "SECONDS", 1)
     monkeypatch.setattr(process, "SLOWER", 3)

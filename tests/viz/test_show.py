@@ -63,6 +63,7 @@ def test_what_is_shown(what, obj, shown, tmp_path: Path):
     assert [name for name in read_chunks(tmp_path / "x.rrd") if name.startswith(shown)]
 
 
+@pytest.mark.slow
 def test_a_trajectory_and_a_folder(turn_folder: Path, tmp_path: Path):
     trajectory = next(each for _, each in heft.load_trajectories(turn_folder) if each.action.moves)
     for obj, answer in ((L2, None), (L2.shape, None), (L2.shape, ANSWER)):

@@ -68,6 +68,7 @@ def recorded(path: Path, model: ObjectModel, trajectory: Trajectory) -> dict[str
     return read_chunks(path)
 
 
+@pytest.mark.slow
 def test_contact_points_lie_on_the_outline_where_the_fingertip_is(pushes):
     push, trial = pushes[0].action, pushes[0]
     path = contact_path(BLOCKS.shape, trial)

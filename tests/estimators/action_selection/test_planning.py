@@ -145,7 +145,9 @@ def test_small_plans_are_as_good_as_the_best_of_all_sets(seed):
     assert one.criterion == pytest.approx(least(1))
 
 
-@pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L2", 2), ("F2", 2)])
+@pytest.mark.parametrize(
+    ("name", "turns"), [("L2", 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("I1", 3), ("F2", 2)))]
+)
 def test_a_plan_is_as_short_as_it_can_be(name, turns):
     model = load_object(name)
     turns_alone = ActionFamily(slides=False, accelerated=False)
@@ -167,6 +169,7 @@ def test_errors_fall_with_every_step_and_time_adds_up():
     assert plan.seconds <= 70.0 and "budget is spent" in plan.why
 
 
+@pytest.mark.slow
 def test_exchange_makes_a_plan_no_longer_and_no_worse():
     whole, before = design("I2", 600)
     for goal in (Goal(until=0.02), Goal(budget_s=80.0)):
@@ -221,6 +224,7 @@ def test_what_the_bench_refuses_is_not_planned_and_said():
     assert len(asked) == len(set(asked)) < 500
 
 
+@pytest.mark.slow
 def test_plain_answers_where_little_can_be_had():
     shape = load_object("L2").shape
     nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
@@ -275,6 +279,7 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
     assert family.sample(shape, [], 10, 0) == ()
 
 
+@pytest.mark.slow
 def test_pushes_are_drawn_where_asked_for_or_where_nothing_else_is_left():
     shape, beside = load_object("L2").shape, ActionFamily(pushes=True)
     ungripped = replace(shape, grasps=())

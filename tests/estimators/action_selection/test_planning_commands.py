@@ -63,6 +63,7 @@ def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
     assert "1 action(s)" in said and "the target of 1 % is not reached" in said and "open:" in said
 
 
+@pytest.mark.slow
 def test_planning_takes_less_than_the_papers_choice_for_the_same():
     model = load_object("L2")
     guess, grasps = Guess(model.total_mass, preset("ft300s")), tuple(range(len(model.shape.grasps)))

@@ -122,6 +122,7 @@ def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_anot
     assert met.answered and met.why == "the target is met"
 
 
+@pytest.mark.slow
 def test_a_lift_that_was_felt_counts():
     obj = load_object("L2")
     chooser = policy(obj, Goal())
@@ -136,6 +137,7 @@ def test_a_lift_that_was_felt_counts():
     assert (after.standard_error <= before.standard_error * 1.05).all()
 
 
+@pytest.mark.slow
 def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():
     obj = drawn_object(0)
     chooser = policy(obj, Goal(until=1e-4))

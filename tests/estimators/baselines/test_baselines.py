@@ -60,12 +60,10 @@ def drag(answer: Estimate) -> np.ndarray:
 WITH_M = ExplicitState(use_weight=True, weighting="covariance")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("draw", "iterations", "error"),
-    [
-        (2, 1000, 5e-4),
-        *(pytest.param(*given, 1e-5, marks=pytest.mark.slow) for given in (("L2", 3000), ("F2", 6000), (1, 3000))),
-    ],
+    [(2, 1000, 5e-4), ("L2", 3000, 1e-5), ("F2", 6000, 1e-5), (1, 3000, 1e-5)],
 )
 def test_explicit_state_with_m_converges_to_the_truth(draw, iterations, error):
     obj = drawn_object(draw) if isinstance(draw, int) else load_object(draw)
@@ -74,6 +72,7 @@ def test_explicit_state_with_m_converges_to_the_truth(draw, iterations, error):
     assert_allclose(found(answer).friction, obj.truth.friction, rtol=error)
 
 
+@pytest.mark.slow
 def test_explicit_state_without_m_finds_the_valley_and_crawls_along_it():
     answer = ask(TWO, ExplicitState(iterations=300))
     assert answer.status == "unexplained" and "the search ended early" in answer.message
@@ -233,6 +232,7 @@ def test_two_friction_groups_are_searched_too(method):
     assert found(answer).friction.shape == (2,) and (found(answer).friction > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", EACH)
 @pytest.mark.parametrize("use_weight", [False, True])
 def test_masses_double_exactly_with_the_wrenches(method, use_weight):

@@ -198,6 +198,7 @@ def test_a_constant_of_every_trial_is_taken_away():
     assert_allclose(slopes(F2, with_torque(windows, constant)).inertia, slopes(F2, windows).inertia, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_variance_is_the_scatter_of_the_slopes(monkeypatch):
     monkeypatch.setattr(table_errors, "SWING", 0.0)  # this arm does not swing
     clean = observed(L2, [*turns(L2)[:1], analytic_trial(L2, Accelerate(0))])

@@ -239,6 +239,7 @@ def test_a_camera_that_sees_less_shows_less():
     assert (errors[0] < errors[1]).all() and (errors[1] < errors[2]).all()
 
 
+@pytest.mark.slow
 def test_pushes_and_turns_add_up():
     obj, where = load_object("L2"), Assumptions(setup=world("lab").stated)
     actions = [Rotate(0, pivot=(0.02, 0.05)), *brisk_pushes(obj.shape, 3, 0), Accelerate(1), Slide(2)]
@@ -394,14 +395,8 @@ def turned_off(action: Rotate | Slide, step: float) -> float:
     return float(np.abs(motion.turned[kept, :, 0] - exact).max())
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        pytest.param(DRAGS[0], id="slide"),
-        pytest.param(DRAGS[1], id="turn right", marks=slow),
-        pytest.param(DRAGS[2], id="turn left", marks=slow),
-    ],
-)
+@slow
+@pytest.mark.parametrize("action", DRAGS, ids=["slide", "turn right", "turn left"])
 def test_links_trail_as_exact_mechanics_have_it(action: Rotate | Slide):
     # a slide that starts at once throws the links by its jerk
     assert turned_off(action, 0.04) < (0.03 if isinstance(action, Slide) else 0.003)
@@ -418,6 +413,7 @@ def test_trials_show_what_is_expected_of_them():
     assert_allclose(before.hinge_error, after.hinge_error, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_more_drags_leave_less_open():
     drags = random_drags(CHAIN.shape, range(len(CHAIN.shape.grasps)), 6, 0)
     reports = [expected(CHAIN.shape, CHAIN.truth, drags[:count], IDEAL) for count in (1, 3, 6)]

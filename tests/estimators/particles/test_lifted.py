@@ -131,6 +131,7 @@ def test_errors_of_the_setup_count_as_stated(setup, worth):
     assert misses[0] < 2.5 and misses[1] > 2 * misses[0]
 
 
+@pytest.mark.slow
 def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
     obj = load_object("L2")
     table = [*turns(obj, rigid=True), *accelerated(obj, rigid=True)]

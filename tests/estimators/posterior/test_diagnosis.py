@@ -42,7 +42,10 @@ def regripped():
     return with_trial(2, action=replace(action, grasp=(action.grasp + 1) % len(SHAPE.grasps)))
 
 
-@pytest.mark.parametrize("setup", [TRIALS[0].setup, world("lab").stated], ids=["exact", "lab"])
+@pytest.mark.parametrize(
+    "setup",
+    [pytest.param(TRIALS[0].setup, id="exact"), pytest.param(world("lab").stated, id="lab", marks=pytest.mark.slow)],
+)
 def test_trials_that_agree_are_said_to(setup):
     found = diagnosed(SHAPE, WEIGHT, [replace(trial, setup=setup) for trial in TRIALS])
     assert found.misfit.by_chance
@@ -65,6 +68,7 @@ def test_a_wrong_weight_is_named():
     assert "weigh the object again" in found.verdict
 
 
+@pytest.mark.slow
 def test_one_rigid_body_comes_before_any_error_of_the_setup():
     block = load_block("I2-rigid")
     found = diagnosed(block.model.shape, block.weighed("ft300s"), block.trials("ft300s"))

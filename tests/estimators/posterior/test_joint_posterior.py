@@ -99,7 +99,9 @@ def at_truth(model, unknowns, z=None):
     return z
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in ("pushes", "links"))) for kind in KINDS]
+)
 def test_derivatives_are_those_of_the_rows(kind):
     model, measurements, unknowns = problem(kind, PLASTIC, ModelErrors(), loaded=False)
     rng = np.random.default_rng(0)
@@ -158,6 +160,7 @@ def test_patterns_of_contact_keep_load_and_moments_but_for_two():
         assert_allclose(ways[:, 2:].T @ points[inside].flatten(0, 1), 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setup",
     [

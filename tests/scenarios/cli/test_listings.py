@@ -252,7 +252,9 @@ command()
 """
 
 
-@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("no_such_command", 2)])
+@pytest.mark.parametrize(
+    ("words", "code"), [pytest.param("--version", 0, marks=pytest.mark.slow), ("no_such_command", 2)]
+)
 def test_a_thread_that_never_ends_is_named_and_left(words: str, code: int):
     program = ENDLESS.replace("WORDS", repr(words))
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)

@@ -25,6 +25,7 @@ def test_every_rest_is_a_pose_and_all_comes_back(tmp_path, sign):
     assert found.mass_std < 0.002 and np.degrees(found.sensor_in_hand_std.max()) < 0.2
 
 
+@pytest.mark.slow
 def test_slow_motion_will_do(tmp_path):
     poses, _ = recorded_poses(*recorded(tmp_path, rest_s=0.0, way_s=20.0))
     found = calibrate(poses)

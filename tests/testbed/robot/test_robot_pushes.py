@@ -42,6 +42,7 @@ def run(trial: Trial, watch=lambda _: None, change=briefly, **of_runner):
         return runner.run(trial), robot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "push",
     [
@@ -156,7 +157,7 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
 @pytest.mark.parametrize(
     ("lie", "links"),
     [
-        pytest.param(n, links, id=f"{n}-{what}", marks=() if n == "1e308" and not links else SLOW)
+        pytest.param(n, links, id=f"{n}-{what}", marks=SLOW)
         for n in LIES
         for links, what in ((False, "push"), (True, "links"))
     ],

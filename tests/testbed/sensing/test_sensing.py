@@ -128,6 +128,7 @@ def test_noise_has_the_spread_and_colour_asked_for(long_record: Trajectory):
     assert_allclose(np.corrcoef(noise, rowvar=False), np.eye(6), atol=0.04)
 
 
+@pytest.mark.slow
 def test_noise_starts_at_its_full_spread():
     short = record(12, tare=6)
     first = np.array([draw_sensing(short, NOISY, seed).sensor_wrench[0] for seed in range(400)])

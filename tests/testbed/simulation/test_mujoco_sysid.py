@@ -80,4 +80,4 @@ def test_it_reaches_the_minimum_where_the_valley_bends(capsys):
 @with_toolbox
 @pytest.mark.parametrize("holds", (*CONFORMANCE, *WITHOUT_DRAWS), ids=lambda rule: rule.__name__)
 def test_conformance(holds):
-    holds(MujocoSysid(), small_object)
+    holds(MujocoSysid(iterations=6), small_object)  # no rule asks how good an answer is

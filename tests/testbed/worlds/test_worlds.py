@@ -60,6 +60,7 @@ def friction_used(contacts: ContactRecord) -> np.ndarray:
     return np.linalg.norm(force[:, :2], axis=1) / force[:, 2]
 
 
+@pytest.mark.slow
 def test_the_ideal_world_is_the_simulation_as_it_was():
     plain, ideal = run(None)[0], run(alone())[0]
     for name in ("sensor_wrench", "object_pose", "tcp_velocity", "joint_position"):
@@ -157,6 +158,7 @@ def test_friction_differs_between_the_tables_axes():
     assert ways == {0, 1}
 
 
+@pytest.mark.slow
 def test_friction_follows_place_and_speed():
     draw = alone(place_friction=0.1, speed_friction=0.05)
     surface = draw.surface
@@ -184,6 +186,7 @@ def test_the_field_has_its_standard_deviation_and_is_smooth():
     assert_allclose(decades, [1.0, 1.03])
 
 
+@pytest.mark.slow
 def test_a_tilted_table_adds_its_part_of_gravity():
     draw = alone(table_tilt=math.radians(1))
     assert_allclose(np.linalg.norm(draw.gravity), GRAVITY)

@@ -54,7 +54,8 @@ VARIANTS = {
     **{name: (kind, small_object) for name, kind in PEERS.items()},
 }
 SLOW = (
-    *("descent", "published", "support_aware", "support_aware of materials", "diff_lcp", "nelder_mead"),
+    *("descent", "published", "published, exact", "support_aware", "support_aware of materials"),
+    *("weighted_sampling", "diff_lcp", "cma_es", "nelder_mead"),
     *(f"{name} with M" for name in BASELINES),
 )
 """Held by CI alone: each has a quick twin, in method or in one setting."""

@@ -240,6 +240,7 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
     assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_reports_tell_what_can_be_told(finished, copied, capsys):
     row = finished.rows[finished.rows["method"] == "bare"].iloc[0]
     without(copied / "estimates" / row["key"] / "estimate.npz", "random.loss")

@@ -72,6 +72,7 @@ def test_the_fingertip_sticks_or_slides_at_the_edge_of_its_cone():
     assert any(slid) and not all(slid)
 
 
+@pytest.mark.slow
 def test_masses_from_pushes_without_noise():
     trials = steady_pushes(BLOCKS, CENTERS)
     found = HiddenStates(pivot_error=1e-7).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)

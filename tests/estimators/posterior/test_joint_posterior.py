@@ -74,6 +74,7 @@ KINDS = {
     "pushes": (BLOCKS, pushed),
     "links": (CHAIN, in_links),
 }
+EACH = [pytest.param(kind, marks=[pytest.mark.slow] * (kind in ("pushes", "links"))) for kind in KINDS]
 
 
 def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
@@ -99,9 +100,7 @@ def at_truth(model, unknowns, z=None):
     return z
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in ("pushes", "links"))) for kind in KINDS]
-)
+@pytest.mark.parametrize("kind", EACH)
 def test_derivatives_are_those_of_the_rows(kind):
     model, measurements, unknowns = problem(kind, PLASTIC, ModelErrors(), loaded=False)
     rng = np.random.default_rng(0)
@@ -115,7 +114,7 @@ def test_derivatives_are_those_of_the_rows(kind):
             assert_allclose(slopes @ way, (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-6 * float(slopes.abs().max()))
 
 
-@pytest.mark.parametrize("kind", ["turns", "slides", "accelerated", "pushes", "links"])
+@pytest.mark.parametrize("kind", [kind for kind in EACH if kind.values != ("lifts",)])
 def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     for module, name in ((links, "FORCE_ERROR"), (links, "HINGE_ERROR"), (links, "RESTING")):
         monkeypatch.setattr(module, name, 1e-6 * getattr(module, name))

@@ -145,6 +145,7 @@ def test_a_pointer_of_git_lfs_is_named(kind: str, tmp_path: Path):
         read_surface(path)
 
 
+@pytest.mark.slow
 def test_a_large_object_has_cells_that_its_grid_can_hold(tmp_path: Path):
     made = convert_mesh(saved(trimesh.creation.box((2.0, 1.5, 0.02)), tmp_path / "plate.stl"))
     assert made.cell > 0.01 and made.model([1.0], 0.5).shape.cell == made.cell

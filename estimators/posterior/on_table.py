@@ -32,6 +32,9 @@ SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & se
 """Errors of the setup that change these measurements."""
 SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "rigid_share"}
 SHARED |= {*PATTERNS, *MODEL_PARAMETERS}
+LEAST_DRAG, SMALLEST = 0.5, 1e-12
+"""Least drag to which errors of the model are in proportion, over the largest force measured at constant speed; and the
+smallest drag, N. Trials that contradict each other may be fitted best without friction, where no error is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +154,8 @@ class OnTable:
         """Errors of the rows at some unknowns."""
         model = self.table.model
         drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
+        least = LEAST_DRAG * self.windows.drag if bool((~self.windows.accelerated).any()) else 0.0
+        drag = drag * (least / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)).clamp(min=1.0)
         return TableErrors.of(self.windows, self.middles, model.particle_mass(theta["mass"]), drag, self.errors)
 
     def _rows(self, theta: Theta, own: Theta) -> tuple[Float[Tensor, "K 6+H"], Float[Tensor, "K 6+H 3"]]:

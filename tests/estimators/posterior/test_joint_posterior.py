@@ -28,6 +28,7 @@ from estimators.posterior.unknowns import Block, Unknowns
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.weighing import Weighing
 from testbed.actions.lift import Lift
@@ -348,3 +349,11 @@ def test_a_common_factor_of_stated_errors_changes_no_choice():
     assert gain[0.1] == pytest.approx(gain[1.0], abs=1) and gain[10.0] == pytest.approx(gain[1.0], abs=1)
     assert plain[0.1] > 5 * plain[1.0] and plain[10.0] < plain[1.0] / 5
     assert gain[1.0] > 5
+
+
+@pytest.mark.parametrize("support", ["own_weight", "rigid"])
+def test_trials_that_contradict_each_other_leave_friction(support):
+    obj = drawn_object(0, ["010", "111"])
+    found = posterior_of(obj.shape, obj.total_mass, [*turns(obj), *accelerated(obj), *opposed(obj)], support)
+    assert found is not None and float(found.of("friction")[0]) > 0.01
+    assert not found.explained.explains

@@ -80,7 +80,7 @@ RunnerSettings = SimulationSettings | NamedRunner
 
 
 def check_trial(trial: Trial, settings: RunnerSettings) -> None:
-    """Raise InfeasibleTrialError where a runner says beforehand that it cannot do a trial."""
+    """Raise InfeasibleTrialError before a trial that a runner cannot do."""
     if isinstance(settings, NamedRunner):
         settings.check(trial)
     else:

@@ -41,7 +41,7 @@ NORMAL_MEAN = math.sqrt(2 / math.pi)
 LEAST_GAIN = 0.01
 """Least part that a trial must take off the criterion to be worth its time."""
 FRICTION_PRIOR = 1.0
-"""Standard deviation of every friction coefficient beforehand; so wide that it decides nothing."""
+"""Prior standard deviation of every friction coefficient; so wide that it decides nothing."""
 APART = 0.01
 """Least distance between centers of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
 other, model error included."""

@@ -95,7 +95,7 @@ def support_test(
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
     by its exactness. The gripper's load is as large as stated or smaller: where there is none, the model under which it
     would move friction more may not lose by what did not happen.
-    Beforehand an object is as likely of one material throughout as of any masses. Then springs between the groups are
+    The prior of one material throughout equals that of any masses. Then springs between the groups are
     fitted from the likelier model on: where their share differs from its own, neither holds.
 
     Args:
@@ -167,7 +167,7 @@ def _springs(
 
 
 def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float) -> float:
-    """log10 of the Bayes factor of own weight over one rigid body, each of `LOADS` as likely beforehand."""
+    """log10 of the Bayes factor of own weight over one rigid body, with equal priors of all `LOADS`."""
     found: tuple[list[float], list[float]] = ([], [])
     log10 = 0.0
     for part in LOADS:

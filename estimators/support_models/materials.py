@@ -35,7 +35,7 @@ class RankedAssignments:
     material: Int[np.ndarray, "S n_m"]
     """Index of each group's material."""
     probability: Float[np.ndarray, "S"]
-    """Probability of each, given that one of all is true and that beforehand all were as likely."""
+    """Probability of each, given that one of all is true, with equal priors."""
     misfit: float
     """Squared residual of the best, in units of the measurements' errors."""
     fits: float

@@ -66,7 +66,7 @@ class MassPolytope:
         return ends[0], ends[1]
 
     def posterior(self, seed: int) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
-        """Mean and covariance of the masses given the measurements, where beforehand all masses >= 0 are as likely.
+        """Mean and covariance of the masses given the measurements, with a flat prior over masses >= 0.
 
         By hit and run, many chains side by side. The mean has the least expected squared error, and is itself a map
         that fits: the set is convex.

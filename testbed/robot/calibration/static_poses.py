@@ -160,7 +160,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
 
     Args:
         poses: readings at rest, in order of time.
-        gain_error: standard deviation of each axis' gain beforehand; 0 takes them as 1.
+        gain_error: prior standard deviation of each axis' gain; 0 takes them as 1.
         gravity: acceleration of free fall [m/s^2].
 
     Raises:

@@ -99,9 +99,6 @@ def number(value: float, like: float | None = None) -> str:
     return f"{value:.{2 if size < 10 else 1 if size < 100 else 0}f}"
 
 
-DOUBT = "?: some of these answers have a status other than ok"
-
-
 @dataclass(frozen=True)
 class Entry:
     """A mean over draws or objects, or a text."""
@@ -182,8 +179,7 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
         scores = [draws_of(select(known, object=name), metric.reference, metric.scale) for name in objects]
         lines.append(((TRUTH,), tuple(Entry.of(score) for score in scores)))
     counts = (len(draws[name][method]) for name in objects for method in methods)
-    doubt = DOUBT if any(cell.doubted for _, cells in lines for cell in cells) else ""
-    note = "; ".join(filter(None, [doubt, _one_unknown(rows, objects) if metric is NAD else ""]))
+    note = _one_unknown(rows, objects) if metric is NAD else ""
     return Table(_counted(title, counts, "draw"), tuple(objects), tuple(lines), note=note, folded=metric.folded)
 
 

@@ -12,6 +12,8 @@ from rich.text import Text
 
 from viz.report.tables import BEYOND, PAPER, TRUTH, Entry, Table, short
 
+DOUBT = "?: some of these answers have a status other than ok"
+
 
 def rich_table(table: Table) -> ConsoleRenderable:
     """A table for rich's console; columns for which it is too narrow go on in a further table below."""
@@ -47,8 +49,9 @@ class _Fitted:
                 end -= 1
             yield part
             start, title = max(end, 1), f"{table.title}, continued"
-        if table.note:
-            yield Text(f"{table.note}\n", "dim")
+        doubted = any(cell.doubted for _, cells in table.rows for cell in cells)
+        if notes := "; ".join(filter(None, [DOUBT if doubted else "", table.note])):
+            yield Text(f"{notes}\n", "dim")
 
 
 def _drawn(table: Table) -> RichTable:

@@ -150,6 +150,12 @@ def test_the_truth_alone_has_no_loss(seed, weighting, rounding):
     assert problem.unexplained(*truth(obj)) < 1e-15
 
 
+def covariance_of(problem: Problem) -> torch.Tensor:
+    """Covariance of the residuals of all six components, N^2, N^2 m and (N m)^2."""
+    whiten = problem.sensed.whiten
+    return torch.linalg.inv(whiten.T @ whiten)
+
+
 @pytest.mark.parametrize("errors", [ModelErrors(inertia_error=0.0), ModelErrors(0.0, 0.01, inertia_error=0.0)])
 def test_errors_are_counted_as_algorithm_1_counts_them(errors: ModelErrors):
     obj = drawn_object(0)
@@ -161,9 +167,7 @@ def test_errors_are_counted_as_algorithm_1_counts_them(errors: ModelErrors):
     loads = closed_form(ours.friction_system(ours.first_guess()))
     guess = one_friction_masses(obj.shape, obj.total_mass, ours.groups.pairs, loads)
     covariance = ours.friction_equations(guess).covariance.flatten(0, 1).flatten(1)
-    assert_allclose(
-        torch.linalg.inv(problem.sensed.whiten.T @ problem.sensed.whiten), covariance, rtol=1e-6, atol=1e-12
-    )
+    assert_allclose(covariance_of(problem), covariance, rtol=1e-6, atol=1e-12)
     assert Baseline.pivot_error == HiddenStates.pivot_error == ModelErrors.pivot_error
 
 
@@ -176,9 +180,7 @@ def test_the_torque_of_an_accelerated_turn_is_as_wrong_as_its_moment_of_inertia(
     )
     assert isinstance(with_, Problem)
     assert isinstance(without, Problem)
-    more = torch.linalg.inv(with_.sensed.whiten.T @ with_.sensed.whiten) - torch.linalg.inv(
-        without.sensed.whiten.T @ without.sensed.whiten
-    )
+    more = covariance_of(with_) - covariance_of(without)
     spread = torch.diagonal(more).reshape(-1, 6)
     windows = with_.windows
     inertia = inertia_map(obj.shape, windows.grasp.numpy()) @ obj.truth.mass
@@ -216,7 +218,7 @@ def test_covariance_weighting_is_the_whitened_error():
     problem = problem_of(obj, turns(obj, noise=0.05))
     mass, friction = guesses(obj, 1)
     error = (problem.sensed.read - problem.sensed.model.wrench(mass[0], friction[0])).flatten()
-    covariance = torch.linalg.inv(problem.sensed.whiten.T @ problem.sensed.whiten)
+    covariance = covariance_of(problem)
     by_hand = error @ torch.linalg.solve(covariance, error) / len(error)
     assert_allclose(problem.loss(mass[0], friction[0], "covariance"), by_hand, rtol=1e-6)
     within = torch.stack([covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(len(problem.windows))])

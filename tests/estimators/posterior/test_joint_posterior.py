@@ -161,14 +161,7 @@ def test_patterns_of_contact_keep_load_and_moments_but_for_two():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "setup",
-    [
-        pytest.param(EXACT_SETUP, id="exact"),
-        pytest.param(LAB, id="lab", marks=pytest.mark.slow),
-        pytest.param(PLASTIC, id="plastic", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("setup", [EXACT_SETUP, LAB, PLASTIC], ids=["exact", "lab", "plastic"])
 def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
     """Truth from the prior, readings from the forward model: errors are chi-squared by the covariance."""
     model, (on_table, scale), unknowns = problem("accelerated", setup, ModelErrors())

@@ -162,7 +162,7 @@ def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
     ("path", "options"),
     [
         ("estimators:HiddenStates", ("--estimator-support", "own_weight", "--estimator-thorough")),
-        ("estimators:SupportAware", ("--estimator-support", "both", "-k", "rigid")),
+        ("estimators:SupportAware", ("--estimator-support", "both")),
     ],
 )
 def test_the_whole_kit_passes(tmp_path, path, options):

@@ -42,7 +42,7 @@ def run(trial: Trial, watch=lambda _: None, change=briefly, **of_runner):
         return runner.run(trial), robot
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize(
     "push",
     [
@@ -154,14 +154,9 @@ def test_a_plan_of_a_push_says_what_the_fingers_need():
         plan_trial(trial, np.array([0.6, 0.5, 0.0]), settings).check(settings)
 
 
-@pytest.mark.parametrize(
-    ("lie", "links"),
-    [
-        pytest.param(n, links, id=f"{n}-{what}", marks=SLOW)
-        for n in LIES
-        for links, what in ((False, "push"), (True, "links"))
-    ],
-)
+@SLOW
+@pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
+@pytest.mark.parametrize("lie", LIES)
 def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, links):
     record, robot = run(DRAG if links else PUSH_TRIAL, begins(LIES[lie][0]), change=replace)
     assert record.status == "fault" and re.search(LIES[lie][1], record.reason), record.reason

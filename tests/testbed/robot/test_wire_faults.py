@@ -8,6 +8,7 @@ import torch
 from estimators.action_selection.rank import RankDriven
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
+from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
 from tests.fakes.gen3 import FakeGen3
@@ -16,8 +17,14 @@ from tests.fakes.robot import small_object
 from tests.fakes.wire_faults import PHASES, WIRE_FAULTS, Phase, freeze_both, stopped_after
 from tests.fakes.world import Gen3World
 
-ELSEWHERE = "kill -9 of the stand-by", "SIGSTOP of the arm's process"
-"""Faults that are struck in every phase; the others amid twists, and bench/faults.py has them all in all."""
+ELSEWHERE = (
+    "Ctrl-Z",
+    "kill -9 of the stand-by",
+    "SIGSTOP of the arm's process",
+    "arm resets the connection",
+    "SIGSTOP of the arm's process, and both are reset",
+)
+"""Faults that are struck in every phase; the others amid twists."""
 CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in ELSEWHERE else PHASES[:1])]
 
 
@@ -46,7 +53,7 @@ def test_where_both_processes_are_frozen_the_arm_stops_itself(gen3: FakeGen3):
 @pytest.mark.slow
 def test_the_real_path_ends_in_the_simulations_masses():
     torch.set_num_threads(1)
-    model, policy, runner = small_object(), RankDriven(pivots=2, duration=4.0, accelerated=0), SimulationRunner()
+    model, policy, runner = load_object("L2"), RankDriven(pivots=4, duration=4.0, accelerated=0), SimulationRunner()
     simulated = []
     while (action := policy.next(model.shape, simulated)) is not None:
         simulated.append(runner.run(Trial(model, action)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Self
 
 import torch
@@ -91,10 +92,10 @@ class Observations(Motion):
             {name: torch.stack([getattr(d, name) for d in draws])[:, None] for name in draws[0].by_window}
         )
 
-    @property
+    @cached_property
     def drag(self) -> float:
-        """Largest force measured at constant speed [N]: a lower bound of mu M g."""
-        return float(self.wrench[~self.accelerated, :2].norm(dim=1).max())
+        """Largest force measured at constant speed [N], 0 without any: a lower bound of mu M g."""
+        return float(self.wrench[~self.accelerated, :2].norm(dim=1).amax() if bool((~self.accelerated).any()) else 0.0)
 
     @property
     def covariance(self) -> Float[Tensor, "K 3 3"]:

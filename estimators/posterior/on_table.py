@@ -154,8 +154,7 @@ class OnTable:
         """Errors of the rows at some unknowns."""
         model = self.table.model
         drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
-        least = LEAST_DRAG * self.windows.drag if bool((~self.windows.accelerated).any()) else 0.0
-        drag = drag * (least / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)).clamp(min=1.0)
+        drag = drag * (LEAST_DRAG * self.windows.drag / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)).clamp(min=1.0)
         return TableErrors.of(self.windows, self.middles, model.particle_mass(theta["mass"]), drag, self.errors)
 
     def _rows(self, theta: Theta, own: Theta) -> tuple[Float[Tensor, "K 6+H"], Float[Tensor, "K 6+H 3"]]:

@@ -95,8 +95,8 @@ def support_test(
     The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
     by its exactness. The gripper's load is as large as stated or smaller: where there is none, the model under which it
     would move friction more may not lose by what did not happen.
-    The prior of one material throughout equals that of any masses. Then springs between the groups are
-    fitted from the likelier model on: where their share differs from its own, neither holds.
+    The prior of one material throughout equals that of any masses. Then springs between the groups are fitted from the
+    likelier model on: where their share differs from its own, neither holds.
 
     Args:
         shape: geometry and groups.

@@ -145,7 +145,7 @@ def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     off = equations.b - equations.q @ torch.tensor(s) - held
     on_table = OnTable.of(model.shape, windows, "own_weight", ModelErrors())
     drag, turning = trials.groups.spread(s), ~windows.standing
-    lever, hinges = on_table.table.lever.norm(dim=-1) @ drag, on_table.drag_rows[:, 6:].abs() @ drag
+    lever, hinges = on_table.table.lever.norm(dim=-1) @ drag, equations.drag_rows[:, 6:].abs() @ drag
     planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 5].abs() / lever], 1)
     about = off[:, 6:][turning].abs() / hinges[turning]
     return 100 * planar.numpy(), 100 * about.numpy()

@@ -20,6 +20,9 @@ from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 
+RESTART = 0.01
+"""Part of the loss that a new simplex must take away for another to follow. Ours."""
+
 
 class Objective:
     """Loss over that of the first guess, as a function of log mass and log friction; keeps every evaluation."""
@@ -90,11 +93,18 @@ class CmaEs(Peer):
 
 @dataclass(frozen=True)
 class NelderMead(Peer):
-    """Downhill simplex in log mass and log friction."""
+    """Downhill simplex in log mass and log friction, begun anew where it ended while that lowers the loss.
+
+    A simplex may collapse off the minimum (Kelley 1999); a new one has the scipy default size.
+    """
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
-        minimize(objective.loss, objective.start, method="Nelder-Mead", options={"maxfev": self.iterations})
+        point, least, left, gained = objective.start, objective.loss(objective.start), self.iterations - 1, True
+        while gained and left > 0:
+            found = minimize(objective.loss, point, method="Nelder-Mead", options={"maxfev": left})
+            gained, left = found.fun < (1 - RESTART) * least, left - found.nfev
+            point, least = found.x, found.fun
         return objective.result("nelder_mead")
 
 

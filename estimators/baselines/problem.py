@@ -17,6 +17,7 @@ from estimators.base import Estimate
 from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import one_friction_masses
+from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.particles.observe import ONE_PIECE, observe
 from estimators.particles.windows import Observations
@@ -25,11 +26,13 @@ from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
 from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
+from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
 """Step of the prediction [s], that of a 100 Hz record."""
+ROUNDS = 2
+"""Rounds in which the errors of the rows settle, as in Algorithm 1 before its last."""
 LIKELY_FRICTION = 0.5
 """Friction at which errors are counted where M, and so the friction's level, is not known."""
 FAR_OFF = 0.45
@@ -203,19 +206,21 @@ def _sensed(
 ) -> SensedRows:
     """Model of all six components, their values, and the inverse root of their covariance.
 
-    The covariance has the errors that Algorithm 1 counts, on own weight at the masses that its friction loads give with
-    one friction for all, as they scale the effect of the gripper's load. A search predicts no torques about hinges.
+    The rows are those of Algorithm 1, on own weight about the masses that its friction loads give with one friction for
+    all, and about the likeliest errors. A search predicts no torques about hinges.
     """
     mass = windows.drag / (LIKELY_FRICTION * GRAVITY) if weight is None else weight
-    even = np.full(shape.n_m, mass / len(shape.particles))
-    at = MassDistribution(even, np.full(shape.n_mu, windows.drag / (mass * GRAVITY)))
-    on_table = OnTable.of(shape, windows, support, errors)
-    equations = FrictionEquations.about(on_table, mass, at, errors)
-    if support == "own_weight":
-        at = one_friction_masses(shape, mass, LoadGroups.of(model).pairs, closed_form(equations.whitened()))
-        equations = FrictionEquations.about(on_table, mass, at, errors)
+    trials = TrialWindows.about(shape, mass, windows, errors)
+    at, on_table = trials.first_guess(), OnTable.of(shape, windows, support, errors)
+    for _ in range(ROUNDS if support == "own_weight" else 0):
+        s = closed_form(trials.friction_system(at))
+        if weight is not None:  # else the inertia of the guess is off as well
+            trials = trials.about_errors(at, s)
+        at = one_friction_masses(shape, mass, trials.groups.pairs, s)
+    equations = FrictionEquations.about(on_table, mass, at, errors, trials.off)
     covariance = equations.covariance[:, :6, :, :6].flatten(0, 1).flatten(1)
-    per_mass = on_table.table.windows["per_mass"]
+    per_mass, inertial = on_table.table.windows["per_mass"], on_table.inertial_rows[:, :6]
     loads = AffineLoads(per_mass, torch.zeros_like(per_mass[..., 0]))
-    found = WrenchModel.by_rows(model, on_table.inertial_rows[:, :6], on_table.drag_rows[:, :6], loads)
-    return SensedRows(found, on_table.read[:, :6], torch.linalg.inv(torch.linalg.cholesky(covariance)))
+    found = WrenchModel.by_rows(model, inertial, equations.drag_rows[:, :6], loads)
+    read = equations.missing[:, :6] + found.wrench(torch.tensor(at.mass), torch.tensor(at.friction))
+    return SensedRows(found, read, torch.linalg.inv(torch.linalg.cholesky(covariance)))

@@ -1,12 +1,12 @@
 """The linear system Q s = b of the friction loads s = mu m g, Eq. dvs, with its errors and its rank.
 
-Rows are those of the joint posterior about a guess of masses and frictions: all six components that the sensor shows,
-and the torques about hinges. The gripper's load and every stated error are marginalized in their covariance.
+Rows are those of the joint posterior about a guess of masses, frictions and errors: all six components that the sensor
+shows, and the torques about hinges. The gripper's load and every stated error are marginalized in their covariance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,8 +19,13 @@ from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.particles.misfit import Misfit
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.priors import priors
+from estimators.posterior.unknowns import Unknowns
+from estimators.wrench.jacobian import Theta
 from estimators.wrench.model import ModelErrors
 from testbed.objects.model import MassDistribution
+
+LARGEST_ERROR = 3.0
+"""Largest error about which rows are linearized, standard deviations: no model explains what takes more. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +62,23 @@ class FrictionEquations:
     """Covariance of the rows, the errors of `wide` apart."""
     wide: dict[str, Float[Tensor, "K r n"]]
     """Effects of one standard deviation of errors with wide priors: `hinge_friction`, `center` and `inertia`."""
+    unknowns: Unknowns
+    """Every stated error; masses and frictions are known."""
+    slopes: Float[Tensor, "K r n"]
+    """Effects of one standard deviation of each."""
+    drag_rows: Float[Tensor, "K r P"]
+    """Derivatives of the rows in the friction of each particle."""
+    missing: Float[Tensor, "K r"]
+    """Measured rows less those of the guessed masses and frictions, likeliest errors taken away, N and N m."""
 
     @staticmethod
-    def about(on_table: OnTable, weight: float, at: MassDistribution, errors: ModelErrors) -> FrictionEquations:
+    def about(
+        on_table: OnTable,
+        weight: float,
+        at: MassDistribution,
+        errors: ModelErrors,
+        off: Theta | None = None,
+    ) -> FrictionEquations:
         """Equations about a guess of masses and frictions, which scale the errors and the effect of the gripper's load.
 
         Args:
@@ -67,21 +86,32 @@ class FrictionEquations:
             weight: M, kg.
             at: the guess; the wrench that its motion takes is taken off the rows.
             errors: errors of the model.
+            off: guess of the stated errors, each in its own unit; none if left out.
         """
         shape, groups = on_table.shape, LoadGroups.of(on_table.table.model)
         unknowns = priors(shape, on_table.windows.setup, errors, weight, on_table.trials)
         unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
-        found, q = on_table.linearized(unknowns, unknowns.start()), groups.gather(on_table.drag_rows)
-        rows, wide = q.shape[:2], {}
-        slopes = found.slopes.unflatten(0, rows)
+        z = unknowns.start(**(off or {}))
+        found, drag_rows = on_table.linear_in_drag(unknowns, z)
+        q, rows, wide = groups.gather(drag_rows), drag_rows.shape[:2], {}
+        every = slopes = found.slopes.unflatten(0, rows)
         if (hinges := unknowns.at.get("hinge_friction")) is not None:
             wide["hinge_friction"] = slopes[..., hinges]
             slopes = torch.cat([slopes[..., : hinges.start], slopes[..., hinges.stop :]], -1)
         covariance = slopes.flatten(0, 1) @ slopes.flatten(0, 1).T
         for places, blocks in found.blocks:
             covariance[places[:, :, None], places[:, None]] += blocks
-        b = q @ torch.tensor(friction_loads(shape, groups.pairs, at)) - found.residual.unflatten(0, rows)
-        return FrictionEquations(q, b, covariance.unflatten(0, rows).unflatten(-1, rows), wide)
+        missing = every @ z - found.residual.unflatten(0, rows)
+        b = q @ torch.tensor(friction_loads(shape, groups.pairs, at)) + missing
+        covariance = covariance.unflatten(0, rows).unflatten(-1, rows)
+        return FrictionEquations(q, b, covariance, wide, unknowns, every, drag_rows, missing)
+
+    def likely_errors(self, s: Float[np.ndarray, "n_s"]) -> Theta:
+        """Most likely stated errors at some friction loads, N, each in its own unit; none beyond `LARGEST_ERROR`."""
+        missing = (self.b - self.q @ torch.tensor(s)).flatten()
+        weighed = torch.linalg.solve(self.covariance_with(*self.wide), missing)
+        z = (self.slopes.flatten(0, 1).T @ weighed).clamp(-LARGEST_ERROR, LARGEST_ERROR)
+        return {name: value for name, value in self.unknowns.values(z).items() if name not in ("mass", "friction")}
 
     def covariance_with(self, *names: str) -> Float[Tensor, "R R"]:
         """Covariance of all rows, the named errors of `wide` included."""
@@ -91,7 +121,16 @@ class FrictionEquations:
     def where(self, keep: Tensor) -> FrictionEquations:
         """Equations of the windows that `keep` selects, (K,) of booleans or their places."""
         wide = {name: effects[keep] for name, effects in self.wide.items()}
-        return FrictionEquations(self.q[keep], self.b[keep], self.covariance[keep][:, :, keep], wide)
+        return replace(
+            self,
+            q=self.q[keep],
+            b=self.b[keep],
+            covariance=self.covariance[keep][:, :, keep],
+            wide=wide,
+            slopes=self.slopes[keep],
+            drag_rows=self.drag_rows[keep],
+            missing=self.missing[keep],
+        )
 
     def whitened(self) -> LinearSystem:
         """The system in units of its errors, those of `wide` marginalized."""

@@ -1,4 +1,4 @@
-"""Algorithm 1 as an estimator: its settings, the rounds in which the gripper's load settles, and the estimate."""
+"""Algorithm 1 as an estimator: its settings, the rounds in which errors and the gripper's load settle, the estimate."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class HiddenStates:
     optimizers: tuple[str, ...] = OPTIMIZERS
     """Optimizers to descend with; the one with the lowest loss is taken."""
     refinements: int = 3
-    """Rounds of solving, each with the gripper's load worked out from the round before."""
+    """Rounds of solving, each with the errors and the gripper's load that are likeliest after the round before."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
     force_error: float = ModelErrors.force_error
@@ -90,7 +90,7 @@ class HiddenStates:
         return replace(self._rounds(shape, weight, trajectories), seconds=time.perf_counter() - begin)
 
     def _rounds(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
-        """Algorithm 1 in rounds: each takes the gripper's load from the round before."""
+        """Algorithm 1 in rounds: each is linear about the answer and the likeliest errors of the round before."""
         if not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
         trials = TrialWindows.of(shape, weight, trajectories, self.errors)
@@ -102,6 +102,7 @@ class HiddenStates:
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
                 return _underdetermined(trials, found, guess)
+            trials = trials.about_errors(guess, found.H.friction_load)
             solution, guess = found, _settled(trials, found)
         assert solution is not None
         return _estimate_of(trials, solution)

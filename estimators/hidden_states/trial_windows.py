@@ -26,6 +26,7 @@ from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import Observations
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.table_errors import rows_of_planar
+from estimators.wrench.jacobian import Theta
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -47,6 +48,8 @@ class TrialWindows:
     """All windows: friction shows in each, I_j in those of constant acceleration."""
     robot_seconds: float
     """Robot time that the trials took, s."""
+    off: Theta | None = None
+    """Guess of the stated errors, each in its own unit; None before the first answer."""
     _equations: dict[MassDistribution, FrictionEquations] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -97,7 +100,7 @@ class TrialWindows:
             self._equations.clear()
             errors = replace(self.errors, inertia_error=0.0)  # that of I_j comes with it
             on_table = OnTable.of(self.shape, self.windows, "own_weight", errors)
-            found = FrictionEquations.about(on_table, self.weight, guess, errors)
+            found = FrictionEquations.about(on_table, self.weight, guess, errors, self.off)
             self._equations[guess] = replace(found, wide=found.wide | self._open_inertia())
         return self._equations[guess]
 
@@ -115,6 +118,10 @@ class TrialWindows:
         to_rows = rows_of_planar(windows.load_map[:, 1, 0] - self.shape.height / 2, windows.hinges)
         center, inertia = to_rows[..., :2] @ along, to_rows[..., 2:3] @ about
         return {"center": self.weight * reach * center, "inertia": self.weight * reach**2 * inertia}
+
+    def about_errors(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> TrialWindows:
+        """The windows with rows about the most likely errors at friction loads s, N."""
+        return replace(self, off=self.friction_equations(guess).likely_errors(s))
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""

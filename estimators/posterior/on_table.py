@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from jaxtyping import Float, Int
@@ -114,11 +114,6 @@ class OnTable:
         return self.windows.table(self.table.model, self.errors.pivot_error, spread=False)
 
     @cached_property
-    def drag_rows(self) -> Float[Tensor, "K 6+H P"]:
-        """Derivatives of the rows in the friction of each particle, N/N and N m/N."""
-        return rows_of_planar(self.windows.load_map[:, 1, 0], self.windows.hinges) @ self.table.drag_rows()
-
-    @cached_property
     def inertial_rows(self) -> Float[Tensor, "K 6+H n_m"]:
         """Derivatives of the rows in particle masses that the motion takes, friction apart; they act at half height."""
         height = self.windows.load_map[:, 1, 0] - self.shape.height / 2
@@ -137,6 +132,15 @@ class OnTable:
 
         Derivatives are taken at the likely load.
         """
+        return self._linearized(unknowns, z, {})[0]
+
+    def linear_in_drag(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> tuple[Linearized, Float[Tensor, "K 6+H P"]]:
+        """`linearized`, and derivatives of the rows in the friction of each particle, N/N and N m/N."""
+        found, slopes = self._linearized(unknowns, z, zeros(drag=(len(self.table.points),)))
+        return found, slopes["drag"]
+
+    def _linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"], more: Theta) -> tuple[Linearized, Slopes]:
+        """`linearized`, and derivatives in `more`, which no estimate has among its unknowns."""
         theta, own = self._at(unknowns, z)
         errors = self._errors(theta)
 
@@ -146,9 +150,11 @@ class OnTable:
 
         rows, carried = self._rows(theta, own)
         off, blocks = rows - self.read, errors.blocks(carried)
-        slopes = self._slopes(theta, own | {"carried": errors.shrunken_load(off, carried, blocks)})
+        slopes = self._slopes(theta | more, own | {"carried": errors.shrunken_load(off, carried, blocks)})
+        others = {name: slopes.pop(name) for name in more}
         columns = unknowns.columns(slopes, self._trial, z).flatten(0, 1)
-        return Linearized(off.flatten(), columns, blocks, elsewhere, lambda: errors.taken(carried, blocks))
+        taken = partial(errors.taken, carried, blocks)
+        return Linearized(off.flatten(), columns, blocks, elsewhere, taken), others
 
     def _errors(self, theta: Theta) -> TableErrors:
         """Errors of the rows at some unknowns."""
@@ -214,12 +220,16 @@ class OnTable:
             load = self.springs.joined(load, theta["rigid_share"])
         if "indeterminate_load" in theta:
             load = load + window["indeterminate"] @ theta["indeterminate_load"]
+        return self._at_points(theta, load)
+
+    def _at_points(self, theta: Theta, load: Float[Tensor, "P"]) -> Float[Tensor, "P C"]:
+        """Forces of points of contact by those of particles, N."""
         at_points = load[:, None] / self.table.points.shape[1]
         pattern = next((theta[name] for name in PATTERNS if name in theta), None)
         if pattern is None:
             return at_points.expand(self.table.points.shape[:2])
         group = self.table.model.mass_group
-        on_group = torch.zeros_like(mass).index_add(0, group, load)
+        on_group = torch.zeros(len(self.table.model.parts), dtype=torch.float64).index_add(0, group, load)
         return at_points + (on_group[group, None] * (self.patterns * pattern[group, None]).sum(-1))
 
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
@@ -241,6 +251,8 @@ class OnTable:
         """Planar wrench of the gripper on the object about the grasp point, N and N m."""
         model = self.table.model
         friction = model.particle_friction(theta["friction"])[:, None] * self.loads(theta, window)
+        if "drag" in theta:
+            friction = friction + self._at_points(theta, theta["drag"])
         moved = {name: value for name, value in theta.items() if name not in ("mass", "friction")}
         mass = model.particle_mass(theta["mass"])
         return self.table.predict(moved | {"mass": mass, "friction": friction}, window)

@@ -19,7 +19,7 @@ from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes, steady_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.jacobian import zeros
-from estimators.wrench.model import EXACT, ParticleModel
+from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.table import Table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.push import Push
@@ -161,6 +161,23 @@ def test_masses_come_back_from_predicted_wrenches(trials):
         assert isinstance(solution, Solution)
         guess = solution.masses.distribution
     assert_allclose(guess.mass, OBJECT.truth.mass, rtol=1e-8)
+
+
+def test_masses_come_back_through_an_error_in_which_the_wrench_is_not_linear():
+    setup, off = SetupErrors(anisotropy=0.2), {"anisotropy": torch.tensor([0.2, -0.1], dtype=torch.float64)}
+    trials = [replace(trial, setup=setup) for trial in turns(OBJECT, noise=0.02)]
+    on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials), "own_weight", ModelErrors())
+    truth = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
+    windows = on_table.predicting(truth | off).windows
+    found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, windows, ModelErrors())
+    guess = found.first_guess()
+    for _ in range(4):
+        solution = algorithm_1(found, guess, lambda system: (closed_form(system), ()))
+        assert isinstance(solution, Solution)
+        found, guess = found.about_errors(guess, solution.H.friction_load), solution.masses.distribution
+    assert found.off is not None
+    assert_allclose(found.off["anisotropy"], off["anisotropy"], rtol=1e-3)
+    assert_allclose(guess.mass, OBJECT.truth.mass, rtol=1e-5)
 
 
 SCALED, SCALE = drawn_object(2), SetupErrors(scale=0.02)

@@ -28,28 +28,27 @@ def import_(
     find: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     grasps: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (),
 ) -> None:
-    """Read another robot's logs (CSV, Parquet, HDF5, MCAP, ROS 2 bags) as trials, for every method.
+    """Import another robot's logs (CSV, Parquet, HDF5, MCAP, ROS 2 bags) as trials.
 
-    MAPPING is a TOML file that says which column is what, in which unit, and what was done: docs/formats.md has one to
-    begin with. All errors are listed at once, and then nothing is written. A log that is imported again, by a
-    corrected mapping, takes the place of its earlier import. Exit code: 1 where a trial is no data, or --find cannot
-    read a log.
+    MAPPING is a TOML file that names the columns, their units and the actions; docs/formats.md has a template. All
+    errors are listed at once, and nothing is written if there are any. Importing a log again replaces its earlier
+    trial. Exit code: 1 if a trial is unusable, or if --find cannot read a log.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
-              heft import lab.toml day_1.mcap --find   (finds the actions of a long recording, for you to look through)
+              heft import lab.toml day_1.mcap --find   (finds the actions in a long recording, for review)
               heft estimate results/lab
 
     Args:
         mapping: TOML file.
-        logs: tables, .mcap files or ROS 2 bags, one a trial; those that the mapping names if left out.
-        out: results folder to put the trials into.
-        weight: mass of the object as a scale read it; every method needs it once.
-        support: support of the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
-            left out, rigid for an object on points of contact, else own_weight.
-        find: print the tares, turns, slides and pushes that the logs hold, and write MAPPING with a [[logs]] table for
-            each action as *.found.toml, to be corrected and imported; nothing is imported.
-        grasps: with --find, grasps of the first actions, where the motion fits several.
+        logs: tables, .mcap files or ROS 2 bags, one per trial; default: the logs that the mapping names.
+        out: results folder for the trials.
+        weight: mass of the object as read from a scale, kg; every method needs it once.
+        support: support of the object, if known: own_weight, rigid, or a stiffness in N/m; default: rigid for an object
+            with contact points, otherwise own_weight.
+        find: print the tares, turns, slides and pushes found in the logs, and write MAPPING with one [[logs]] table per
+            action as *.found.toml, to be reviewed and imported; nothing is imported.
+        grasps: with --find, grasps of the first actions, where the motion is consistent with several.
     """
     if find or grasps:
         from scenarios.cli.find import show_found
@@ -87,24 +86,24 @@ def calibrate(
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")] = Path("calibration.toml"),
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Calibrate a force/torque sensor from a recording: its mount, sign, bias and gains, and the tool below it.
+    """Calibrate a force/torque sensor from a recording: mounting, sign, bias and gains, and the tool below it.
 
-    In the recording the arm holds still in six or more poses, for two seconds or more, tilted by 30 degrees and more
-    about two axes and both ways, one of them upside down or level; or it moves slowly through as many; or LOG is a
-    table with one row per pose (rows = "poses" in MAPPING). Of MAPPING, [time], [sensor] and [hand] are read; the
-    sign and the mount there do not count, for they are found. With the file that is written named as `calibration` in
-    the [sensor] table of a mapping, heft import uses it.
+    In the recording, the arm holds still in six or more poses for at least two seconds each, tilted by at least 30
+    degrees about two axes and in both directions, one pose upside down or level; or it moves slowly through as many;
+    or LOG is a table with one row per pose (rows = "poses" in MAPPING). The tables [time], [sensor] and [hand] of
+    MAPPING are read, except for the sign and mounting, which are estimated. To use the result in heft import, name the
+    file as `calibration` in the [sensor] table of a mapping.
 
     Examples: heft calibrate lab.toml poses.csv
               heft calibrate lab.toml poses.mcap --gain-error 0.02 --figure results/residuals
 
     Args:
-        mapping: TOML file that says which column is what, as for heft import.
+        mapping: TOML file that names the columns, as for heft import.
         log: table, .mcap file or ROS 2 bag.
-        gain_error: standard deviation of each axis' gain, as a part of itself; 0 takes the gains as exact.
-        sensor: serial number of the sensor, for the file.
+        gain_error: relative standard deviation of the gain of each axis; 0 treats the gains as exact.
+        sensor: serial number of the sensor, stored in the file.
         out: file to write.
-        figure: readings less model at every pose, written as FILE.pdf and FILE.png.
+        figure: plot of the residuals at every pose, written as FILE.pdf and FILE.png.
     """
     from testbed.importers.columns import Columns
     from testbed.robot.calibration.file import save_calibration
@@ -171,26 +170,27 @@ def estimate(
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     allow_code: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Estimate from the measured trials of a folder by every method: masses with their intervals, and a report.
+    """Estimate masses with intervals from the measured trials of a folder, with every method, and write a report.
 
-    Then a map of the first answer, and what to do next. The trials are those of heft robot trial and heft import, as
-    they were measured: no sensor's errors are drawn. Those that are no data are left out. The last weighing counts.
-    masses.csv and masses.json hold the numbers. Masses in the object's file are taken for the truth that the NAD is
-    against.
+    Prints a map of the first answer and suggests the next step. The trials come from heft robot trial and heft import
+    and are used as measured, without simulated sensor errors; unusable ones are skipped. The last weighing counts.
+    masses.csv and masses.json contain the numbers. If the object file states masses, the NAD is computed against
+    them.
 
-    Exit code: 1 where some method failed or had no data.
+    Exit code: 1 if a method failed or had no data.
 
     Examples: heft estimate results/robot --methods hidden_states explicit_state_M
               heft estimate results/lab --scenario my/scenario.toml --held-out 2
 
     Args:
         folder: results folder with measured trials.
-        objects: names of the objects; all if left out.
-        methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
-        scenario: scenario of the methods and their settings: name in the library, or path to a TOML file.
-        held_out: last turns that no method is given, for the mean particle distance.
-        workers: worker processes; one a core if left out, 0 runs everything in this process.
-        allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
+        objects: names of the objects; default: all.
+        methods: labels of methods in the scenario, or other methods by name or package:Class; default: all of the
+            scenario.
+        scenario: scenario that defines the methods and their settings: name in the library, or path to a TOML file.
+        held_out: number of last turns withheld from every method, to compute the mean particle distance.
+        workers: number of worker processes; default: one per core. 0 runs everything in this process.
+        allow_code: allow the scenario to load classes from the current folder; --methods needs no permission.
     """
     from estimators.base import NO_MASSES
     from scenarios.cli.run import show_main_table, show_progress

@@ -24,21 +24,21 @@ def doctor(
     *,
     draw: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
 ) -> None:
-    """Say what is wrong with a setup, from how its trials disagree.
+    """Diagnose a setup from how its trials disagree.
 
-    DIR is a results folder with estimates: of `heft run`, or of `heft estimate` on imported logs or the robot's trials.
-    Of each object under each support and sensor it fits the joint posterior (method bayes) and prints the misfit, about
-    1 where the masses explain the trials within the errors stated. Where they do not, it asks in this order: does one
-    rigid body explain them? Do they agree without a single trial? Which error of the setup is larger than stated, how
-    large, and what to check? A figure goes to DIR/figures.
+    DIR is a results folder with estimates, from `heft run` or from `heft estimate` on imported or robot trials. For
+    each object, support and sensor, the joint posterior (method bayes) is fitted and the misfit printed: about 1 if the
+    masses explain the trials within the stated errors. Otherwise three causes are tested in order: one rigid body; a
+    single inconsistent trial; an error of the setup larger than stated, with its size and what to check. A figure is
+    written to DIR/figures.
 
     Examples: heft doctor results/lab
               heft doctor results/blocks L2 --draw 1
 
     Args:
         folder: results folder.
-        objects: objects to look at; all if left out.
-        draw: draw of the sensor's errors of simulated trials.
+        objects: objects to diagnose; default: all.
+        draw: index of the sensor-error draw of simulated trials.
     """
     from scenarios.cli.terminal import open_console
     from scenarios.results.estimates import load_rows

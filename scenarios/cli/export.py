@@ -35,9 +35,10 @@ def export(
     models: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Write an estimate for another simulator, a box a block and a body a link; or a trial as ROS 2 messages.
+    """Export an estimate to another simulator, with a box per block and a body per link, or a trial as ROS 2 messages.
 
-    A JSON beside a model says how sure every mass is; a mapping beside an MCAP file has heft import read it back.
+    A JSON file beside a model contains the error of every mass; with the mapping beside an MCAP file, heft import reads
+    it back.
 
     Examples: heft export results/blocks 3f9a
               heft export results/blocks 3f9a --scene --out L2.xml    (then python -m mujoco.viewer --mjcf L2.xml)
@@ -47,15 +48,15 @@ def export(
               heft export results/lab 7c41 --format mcap
 
     Args:
-        folder: of a run.
-        what: beginning of an estimate's key (see its report); with --format mcap of a trial's.
+        folder: results folder of a run.
+        what: beginning of an estimate's key (see the report); with --format mcap, of a trial's key.
         format_: mjcf, urdf, sdf; toml: an object file that heft itself can run; mcap: a trial, for Foxglove,
             PlotJuggler, Rerun and ros2 bag.
-        inertial: one mass, center and inertia for the whole object instead, or for each link.
-        scene: of mjcf, with a floor and a light, to be opened in MuJoCo's viewer.
-        draws: write N draws of masses and frictions from the posterior too, as CSV; of an estimate by Algorithm 1.
-        models: write each draw as a model too, numbered in a folder, to train or test a controller on all of them.
-        out: DIR/exports/OBJECT_KEY if left out, with the format's ending.
+        inertial: a single mass, center of mass and inertia for the object, or for each link, instead of blocks.
+        scene: with mjcf, add a floor and a light, to open the file in MuJoCo's viewer.
+        draws: also write N posterior draws of masses and frictions as CSV, for an estimate by Algorithm 1.
+        models: also write each draw as a numbered model in a folder, to train or test a controller on all of them.
+        out: output file; default: DIR/exports/OBJECT_KEY with the extension of the format.
     """
     from scenarios.results.files import check_results
 
@@ -104,20 +105,20 @@ def payload(
 ) -> None:
     """Write the payload of a robot's flange for its controller: mass, center of mass and inertia, with intervals.
 
-    From the lifts of an object in DIR, or from the file that heft calibrate makes of still poses: these show the mass
-    and center of all that hangs below the sensor, and no inertia. The numbers are those of a body that can exist.
+    Computed from the lifts of an object in DIR, or from the file of heft calibrate, which contains the mass and the
+    center of mass of everything below the sensor, but no inertia. The numbers are physically consistent.
 
     Examples: heft payload results/lab drill
               heft payload results/lab drill --format ur --with-tool
               heft payload calibration.toml --format franka --flange 0 0 0.0127 45
 
     Args:
-        source: folder with lifts, or a calibration file.
-        name: object, where the folder has lifts of several.
+        source: results folder with lifts, or calibration file.
+        name: object, if the folder has lifts of several.
         format_: json: all numbers; franka: arguments of setLoad; ur: a line of URScript; kortex: a ToolConfiguration.
-        with_tool: of lifts, add the tool below the sensor, as their trials state it.
-        flange: place of the sensor's frame in the flange's [m], and its turn about z [deg].
-        out: file; printed if left out.
+        with_tool: with lifts, add the tool below the sensor as stated by the trials.
+        flange: position of the sensor frame in the flange frame [m], and its rotation about z [deg].
+        out: output file; default: print.
     """
     import numpy as np
 

@@ -33,7 +33,7 @@ class RenderRequest:
     """Options of a film or a picture of a trial."""
 
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint=default_hint)] = None
-    """file that ends in .mp4, .gif or .png; DIR/trials/TRIAL/trial.mp4 if left out."""
+    """output file (.mp4, .gif or .png); default: DIR/trials/TRIAL/trial.mp4."""
     width: Annotated[int, tyro.conf.arg(metavar="PX")] = 960
     """width of the picture, px; even."""
     height: Annotated[int, tyro.conf.arg(metavar="PX")] = 640
@@ -41,13 +41,13 @@ class RenderRequest:
     fps: Annotated[float, tyro.conf.arg(metavar="N")] = 25.0
     """pictures per second of film."""
     speed: Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint=default_hint)] = None
-    """seconds of trial per second of film, 1 for the trial's own time; if left out, the film lasts at most 20 s."""
+    """seconds of trial per second of film, 1 for real time; default: the film lasts at most 20 s."""
     camera: Literal["bench", "object", "above"] = "bench"
-    """bench (all of it), object (close), or above (the object alone, with the arm out of the way)."""
+    """bench (whole scene), object (close-up), or above (the object without the arm)."""
     at: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint=default_hint)] = None
-    """instant of the one picture of a .png, s; the middle if left out."""
+    """time of the picture of a .png, s; default: the middle."""
     caption: bool = True
-    """write in each picture what it shows, and when."""
+    """write the object, the action and the time into each picture."""
 
 
 def render_trial(root: Path, beginning: str, request: RenderRequest, progress: Progress) -> tuple[Path, float]:
@@ -165,21 +165,20 @@ def watch(
     grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     support: Annotated[str | None, tyro.conf.arg(metavar="SUPPORT")] = None,
 ) -> None:
-    """Open a window on a trial: heft watch OBJECT simulates one as you look, heft watch DIR TRIAL plays a recorded one.
+    """Show a trial in a window: heft watch OBJECT simulates one live, heft watch DIR TRIAL plays a recorded one.
 
-    Needs a display; heft view DIR TRIAL --film needs none. Space starts and stops, backspace begins again, F1 lists all
-    keys.
+    Needs a display; heft view DIR TRIAL --film does not. Space starts and stops, backspace restarts, F1 lists all keys.
 
     Examples: heft watch hammer --action slide --grasp handle_mid
               heft watch results/blocks 3f9a
 
     Args:
-        what: an object, by name in the library or path to a TOML file; or the folder of a run.
-        trial: key of a trial in that folder, or a beginning of it that no other has.
-        action: what to simulate; with the action's own speed and duration.
-        grasp: where it is gripped (see heft show); the first grasp if left out.
-        support: what carries the weight: own_weight, rigid, or a stiffness in N/m; if left out, rigid for an object on
-            points of contact, else own_weight.
+        what: object, by name in the library or path to a TOML file; or the results folder of a run.
+        trial: key of a trial in that folder, or an unambiguous beginning of it.
+        action: action to simulate, at its default speed and duration.
+        grasp: grasp by name (see heft show); default: the first.
+        support: support of the object: own_weight, rigid, or a stiffness in N/m; default: rigid for an object with
+            contact points, otherwise own_weight.
     """
     if trial is None:
         watch_live(what, action, grasp, support)

@@ -23,29 +23,30 @@ def mesh(
     friction: Annotated[float, tyro.conf.arg(metavar="MU")] = 0.5,
     grasps: Annotated[int, tyro.conf.arg(metavar="N")] = 6,
 ) -> None:
-    """Make an object of a mesh file: mended, laid on a stable face, cut into parts, with contact points and grasps.
+    """Convert a mesh file to an object: repair it, lay it on a stable face, cut it into parts, find its grasps.
 
-    Writes DIR/NAME.toml, the meshes of its parts beside it, and its picture from above: parts, points of contact, and
-    grasps. Of several files there is a picture of all besides. What was found and mended is printed, and stands in the
-    object file. Without masses an object is for measured trials.
+    Writes DIR/NAME.toml, the meshes of its parts, and a picture from above with parts, contact points and grasps; for
+    several files also a picture of all. Repairs and findings are printed and stored in the object file. An object
+    without masses can be used for measured trials only.
 
-    Exit code: 1 where a file makes no object.
+    Exit code: 1 if a file cannot be converted.
 
     Examples: heft mesh hammer.stl
               heft mesh hammer.ply --parts colours --mass 0.69 --down=-z
               heft mesh tools/*/mesh.ply --out results/tools --mass 0.5
 
     Args:
-        files: STL, OBJ, PLY, OFF, GLB or 3MF.
-        out: folder to write to.
-        units: of the file; found if left out: as the file says, else from the size.
-        parts: 3 (equal lengths along the longest side), 0.3,0.6 (planes there), bodies, colours, clusters:3 (where its
-            width changes), or a PLY file of labelled points; auto takes colours if there are two, else bodies, else 3.
-        down: axis of the file that points down (x, -x, y, ...), or the number of a stable pose; auto is the likeliest.
-        cell: side of a cell; for about 150 cells if left out.
-        mass: one in all, shared by volume, or one a part, from left to right.
+        files: STL, OBJ, PLY, OFF, GLB or 3MF files.
+        out: output folder.
+        units: units of the file; default: as stated in the file, otherwise inferred from its size.
+        parts: 3 (equal lengths along the longest side), 0.3,0.6 (cut at these fractions), bodies, colours, clusters:3
+            (where the width changes), or a PLY file of labelled points; auto uses colours if there are two, otherwise
+            bodies, otherwise 3.
+        down: axis of the file that points down (x, -x, y, ...), or index of a stable pose; auto: the most likely.
+        cell: side of a cell, mm; default: about 150 cells per object.
+        mass: total mass, shared by volume, or one mass per part from left to right, kg.
         friction: coefficient of friction with the table.
-        grasps: grasps to propose, at most.
+        grasps: maximum number of proposed grasps.
     """
     from testbed.objects.conversion import convert_mesh, write_object
     from viz.figures.maps import save_figure

@@ -49,7 +49,7 @@ def identify(
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Predict what trials of an object would show of its masses: errors to expect, and what stays open.
+    """Predict how well trials of an object determine its masses: expected errors, and what stays unidentifiable.
 
     Examples: heft identify L2
               heft identify F2 --assumed-support rigid --sensing ideal
@@ -60,18 +60,18 @@ def identify(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        sensing: preset of the sensor, and of the camera that sees pushes.
-        world: ideal, lab or rough, whose errors of the setup are allowed for.
-        assumed_support: rigid for an object on points of contact, else own_weight, if left out.
-        pivots: turns there and back, as the rank-driven policy draws them; 0 for none, accelerated ones neither. Of an
-            object with hinges random ones, one way, and none accelerated.
-        accelerated: accelerated turns.
-        slides: slides, in directions spread over the circle; of an object with hinges in random ones.
-        lifts: lifts, held still and rocked in the air, of the grasps nearest the middle; under rigid support alone.
-        pushes: pushes at random faces, points and directions; an object without grasps can only be pushed.
-        duration: time of a turn each way, s.
-        grasps: allowed grasps, by name (see heft show); all if left out, whether the arm reaches them or not.
-        out: heatmap of the standard errors, g, written as FILE.pdf and FILE.png.
+        sensing: preset of the sensor, and of the camera for pushes.
+        world: world whose setup errors are assumed: ideal, lab or rough.
+        assumed_support: default: rigid for an object with contact points, otherwise own_weight.
+        pivots: number of turns there and back, drawn by the rank-driven policy; 0 also drops the accelerated turns. An
+            object with hinges gets random one-way turns and no accelerated ones.
+        accelerated: number of accelerated turns.
+        slides: number of slides, in directions spread over the circle; random for an object with hinges.
+        lifts: number of lifts, held still and rocked in the air, at the grasps nearest the middle; rigid support only.
+        pushes: number of pushes at random faces, points and directions; an object without grasps can only be pushed.
+        duration: duration of a turn each way, s.
+        grasps: allowed grasps, by name (see heft show); default: all, reachable or not.
+        out: heatmap of the standard errors in g, written as FILE.pdf and FILE.png.
     """
     from estimators.identifiability.information import Assumptions, expected
     from testbed.objects.files import load_object
@@ -165,29 +165,29 @@ class Search:
     """Options of a search for actions."""
 
     until: Annotated[str | None, tyro.conf.arg(metavar="PERCENT", help_behavior_hint=default_hint)] = None
-    """expected NAD to reach (sum of the masses' errors over the whole mass), as 5%."""
+    """expected NAD to reach (sum of the mass errors over the total mass), such as 5%."""
     budget: Annotated[str | None, tyro.conf.arg(metavar="TIME", help_behavior_hint=default_hint)] = None
-    """robot time, travel included, as 60s or 2min; no limit if left out."""
+    """robot time including travel, such as 60s or 2min; default: no limit."""
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 8
-    """greatest number of actions."""
+    """maximum number of actions."""
     sensing: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "ft300s"
-    """preset of the sensor, and of the camera that sees pushes."""
+    """preset of the sensor, and of the camera for pushes."""
     assumed_support: Annotated[
         Literal["own_weight", "rigid", "either"] | None,
         tyro.conf.arg(metavar="{own_weight,rigid,either}", help_behavior_hint=default_hint),
     ] = None
-    """assumed support; either serves both models, and decides between them. Of a plan, if left out, rigid for an object
-    on points of contact, else own_weight."""
+    """assumed support; either: plan for both models and for deciding between them. Default of heft plan: rigid for an
+    object with contact points, otherwise own_weight."""
     lifts: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint=default_hint)] = False
-    """consider lifts too, held still and rocked in the air; not where own_weight is assumed."""
+    """also consider lifts, held still and rocked in the air; not with own_weight."""
     pushes: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint=default_hint)] = False
-    """consider pushes too; an object without grasps is pushed in any case."""
+    """also consider pushes; an object without grasps is always pushed."""
     grasps: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint=default_hint)] = None
-    """allowed grasps, by name (see heft show); all if left out."""
+    """allowed grasps, by name (see heft show); default: all."""
     candidates: Annotated[int, tyro.conf.arg(metavar="N")] = 4000
-    """number of actions to consider."""
+    """number of candidate actions."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """seed of the candidates, and of the sensor's errors."""
+    """seed of the candidates and of the sensor errors."""
 
     @property
     def goal(self) -> Goal:
@@ -231,9 +231,9 @@ def plan(
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
 ) -> None:
-    """Plan actions: where to grasp or push and which way, to know an object's masses in little robot time.
+    """Plan actions that determine an object's masses in little robot time: grasps or pushes, and their directions.
 
-    Of the object the planner uses only its shape and its weight, so a file without masses does with --weight.
+    The planner uses only the shape and the weight of the object, so --weight makes a file without masses sufficient.
 
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
@@ -243,13 +243,13 @@ def plan(
     Args:
         object_: name in the library, or path to a TOML file.
         search: shared with heft touch.
-        policy: greedy (best of each moment), batch (made better by exchange), random, published, or reversed_pairs.
+        policy: greedy (best next action), batch (greedy, improved by exchange), random, published, or reversed_pairs.
         criterion: quantity to minimize: I (the expected NAD), A (trace of the covariance) or D (its volume).
-        world: ideal, lab or rough, whose errors of the setup are allowed for.
-        friction: assumed coefficient.
-        weight: what the object weighs, kg; that of its masses if left out.
-        figure: the plan as a picture, written as FILE.pdf and FILE.png.
-        record: the plan as a Rerun recording: `rerun FILE.rrd` opens it.
+        world: world whose setup errors are assumed: ideal, lab or rough.
+        friction: assumed friction coefficient.
+        weight: weight of the object, kg; default: the sum of its masses.
+        figure: figure of the plan, written as FILE.pdf and FILE.png.
+        record: Rerun recording of the plan; open it with `rerun FILE.rrd`.
     """
     from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
     from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan

@@ -64,30 +64,31 @@ def run(
     tables: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: bool = False,
 ) -> None:
-    """Run a scenario: every object under every support by every method, with a table and a report.
+    """Run a scenario: every object under every support with every method, with a table and a report.
 
-    Ctrl-C leaves whole files; the same command goes on from them, after kill -9 too.
+    Ctrl-C keeps finished files; run the same command again to continue, also after kill -9.
 
     Examples: heft run blocks --objects L2 my/object.toml --out results/mine
               heft run my/scenario.toml --methods hidden_states explicit_state --seeds 20 --out results/tonight
 
     Args:
         scenario: name in the library (see heft scenarios), or path to a TOML file.
-        out: folder for the results; results/<scenario> if left out.
+        out: results folder; default: results/<scenario>.
         executor: inline (this process), local (worker processes), or ray (extra "ray"; at RAY_ADDRESS if set).
-        workers: worker processes; one a core if left out, 0 runs everything in this process.
-        methods: labels of the scenario's methods, instead of all; or others: by name, or package:Class.
-        seeds: sensing draws of each trial; the scenario's own number if left out.
-        objects: names in the library or paths to TOML files, instead of the scenario's own.
-        world: ideal, lab or rough, instead of the scenario's own.
-        data: folder of mesh files, for a scenario with [meshes], as tools.
-        secret: text from which all draws are seeded: the same text repeats a run. A fresh one if left out; it stands in
-            DIR/manifest.json, and no method is given it.
-        record: write a recording of every trial and estimate as it is done, into DIR/recordings.
-        live: show every trial and estimate as it is done in an open viewer, or in a new one.
-        allow_code: run classes of the current folder that the scenario names; those of --methods need no leave.
-        tables: print every table of the report, not the main one alone.
-        dry_run: print how many trials and estimates there are and how long they take, and run nothing.
+        workers: number of worker processes; default: one per core. 0 runs everything in this process.
+        methods: labels of methods in the scenario, or other methods by name or package:Class; default: all of the
+            scenario.
+        seeds: number of sensor-error draws per trial; default: as in the scenario.
+        objects: names in the library or paths to TOML files; default: as in the scenario.
+        world: ideal, lab or rough; default: as in the scenario.
+        data: folder of mesh files, for a scenario with [meshes] such as tools.
+        secret: text that seeds all draws: the same text repeats a run. Default: random. It is stored in
+            DIR/manifest.json and hidden from every method.
+        record: write a recording of every trial and estimate to DIR/recordings during the run.
+        live: show every trial and estimate in a running or new viewer during the run.
+        allow_code: allow the scenario to load classes from the current folder; --methods needs no permission.
+        tables: print every table of the report, not only the main one.
+        dry_run: print the number of trials and estimates and the expected time, and run nothing.
     """
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
@@ -259,10 +260,10 @@ def _many(results: Sequence[Row]) -> bool:
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
-    """Say how far a results folder is: trials and estimates done, those that are not ok, failures with their reasons.
+    """Show the progress of a results folder: finished trials and estimates, those that are not ok, and failures.
 
     Args:
-        folder: of a run, finished, running or stopped.
+        folder: results folder of a finished, running or stopped run.
     """
     from scenarios.results.files import STAGES, is_held, read_manifest, stored, tally
     from testbed.files import unless_damaged

@@ -39,9 +39,9 @@ def touch(
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Try an object in simulation until its masses are known: weigh, plan, act, estimate, and stop by itself.
+    """Explore an object in simulation until its masses are known: weigh, plan, act, estimate, repeat, and stop.
 
-    After each trial, all measurements so far decide the next. Trials are kept: the same command goes on from them.
+    Each action is planned from all measurements so far. Trials are kept: run the same command again to continue.
 
     Exit code: 1 without an answer.
 
@@ -51,10 +51,10 @@ def touch(
     Args:
         object_: name in the library, or path to a TOML file.
         search: shared with heft plan.
-        support: what truly carries the weight: own_weight, rigid, or a stiffness in N/m; if left out, rigid for an
-            object on points of contact, else own_weight.
-        out: folder for the results; results/touch_OBJECT if left out.
-        record: write a recording of every trial too, into DIR/recordings.
+        support: true support: own_weight, rigid, or a stiffness in N/m; default: rigid for an object with contact
+            points, otherwise own_weight.
+        out: results folder; default: results/touch_OBJECT.
+        record: also write a recording of every trial to DIR/recordings.
     """
     from estimators.action_selection.design import ASSUMED_SUPPORTS
     from scenarios.cli.plan import named_grasps

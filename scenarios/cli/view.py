@@ -38,10 +38,10 @@ def view(
     film: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     options: Annotated[RenderRequest, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name="film")] = NO_OPTIONS,
 ) -> None:
-    """Look at a results folder: in the Rerun viewer, or as recordings, figures, a report or a film.
+    """View a results folder in the Rerun viewer, or write recordings, figures, a report or a film.
 
-    Without an option it opens the viewer on everything, on one object under every method, or on the trial or the
-    estimate whose key begins so (the report has the keys).
+    Without an option, the viewer opens on everything, on one object with every method, or on the trial or estimate
+    whose key begins with WHAT (the report lists the keys).
 
     Examples: heft view results/blocks L2
               heft view results/blocks 3f9a --web --port 9090
@@ -50,20 +50,20 @@ def view(
               heft view results/blocks 3f9a --film --speed 4
               heft view results/blocks 3f9a --film --out turn.gif --camera above --width 480 --height 320 --fps 12.5
 
-    Results on another machine: `heft view DIR --web --port 9090` there, `ssh -L 9090:127.0.0.1:9090 THERE` here, and
-    the printed address in a browser here.
+    Results on another machine: run `heft view DIR --web --port 9090` there and `ssh -L 9090:127.0.0.1:9090 THERE` here,
+    and open the printed address in a browser here.
 
     Args:
-        folder: of a run, finished or still running.
-        what: objects, or beginnings of trials' or estimates' keys; everything if left out.
+        folder: results folder of a finished or running run.
+        what: objects, or beginnings of keys of trials or estimates; default: everything.
         web: serve the viewer to a browser on this machine instead of opening a window.
-        port: of --web, for the page and its data alike; a free one if left out.
-        record: write Rerun recordings instead: DIR/recording.rrd, or DIR/recordings/WHAT.rrd. `rerun FILE` opens one
-            on any machine.
-        all_: with --record, of every trial and estimate that has none yet.
-        figures: draw figures for a paper, as PDF and PNG, into DIR/figures: of the run, or of the estimates WHAT.
-        report: write DIR/report.html again: tables, figures, failures, how to run it again.
-        film: draw trials as a film (.mp4, .gif) or one picture (.png), without a display; without WHAT, list them.
+        port: port of --web, for the page and its data; default: a free one.
+        record: write Rerun recordings instead: DIR/recording.rrd, or DIR/recordings/WHAT.rrd; open them with
+            `rerun FILE`.
+        all_: with --record, write the missing recordings of all trials and estimates.
+        figures: write figures as PDF and PNG to DIR/figures, of the run or of the estimates WHAT.
+        report: rewrite DIR/report.html: tables, figures, failures, and the command that repeats the run.
+        film: render trials as a film (.mp4, .gif) or one picture (.png), without a display; without WHAT, list them.
         options: with --film.
     """
     from scenarios.results.files import check_results
@@ -179,9 +179,9 @@ def scenarios() -> None:
 
 
 def methods() -> None:
-    """List the methods, heft's own and those of installed packages: what each does, and its settings with defaults.
+    """List the methods of heft and of installed packages, with their settings and defaults.
 
-    Settings stand in a scenario's [methods.LABEL]. heft run --methods takes these names, and package:Class for others.
+    Settings go into [methods.LABEL] of a scenario. heft run --methods accepts these names, and package:Class.
     """
     from estimators.registry import ESTIMATOR, METHODS
     from testbed.plugins import find_class, installed, settings_of
@@ -205,7 +205,7 @@ def show(
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None,
     pads: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> None:
-    """Show one object: blocks, mass, center of mass, inertia, and where it can be gripped.
+    """Show one object: blocks, mass, center of mass, inertia and grasps.
 
     Examples: heft show hammer
               heft show docs/objects/T.toml --record results/T.rrd
@@ -213,8 +213,8 @@ def show(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        record: recording to write too: the object on the table in 3D, its parts, points of contact and grasps.
-        pads: folder for STL files, mm, of pads to be printed and glued under an object with [feet].
+        record: also write a 3D recording of the object on the table with its parts, contact points and grasps.
+        pads: output folder for STL files (mm) of pads to print and glue under an object with [feet].
     """
     from testbed.objects.files import load_object
 

@@ -17,19 +17,19 @@ def answer(
     output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/answers"),
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:
-    """Answer the problems of a split by methods; writes a CSV file each, DIR/SPLIT/METHOD.csv.
+    """Answer the problems of a benchmark split with heft's methods or your own: DIR/SPLIT/METHOD.csv for each.
 
-    Ctrl-C leaves what is done; the same command goes on from there.
+    Ctrl-C keeps finished answers; run the same command again to continue.
 
     Examples: heft benchmark answer hidden_states bayes --benchmark results/benchmark
               heft benchmark answer my_estimator:LeastSquares --benchmark results/benchmark --split test
 
     Args:
-        methods: names, package:Class, or labels of the scenario `blocks`, such as weighted_sampling_M.
-        benchmark: published folder.
+        methods: method names, package:Class, or labels from the scenario `blocks`, such as weighted_sampling_M.
+        benchmark: folder of the published benchmark.
         split: train, validation or test.
         output: folder for the CSV files.
-        workers: worker processes; one a core if left out, 0 runs everything in this process.
+        workers: number of worker processes; default: one per core. 0 runs everything in this process.
     """
     from scenarios.benchmark.answers import write_answers
     from scenarios.benchmark.dataset import Benchmark

@@ -20,18 +20,18 @@ def make(
 ) -> None:
     """Simulate the trials of the benchmark and write them to a folder that can be published.
 
-    Truth and secret of the test split go to DIR-private, with the results folders. Ctrl-C leaves whole files; the same
-    command goes on from them.
+    The truth and the secret of the test split go to DIR-private, with the results folders. Ctrl-C keeps finished files;
+    run the same command again to continue.
 
     Examples: heft benchmark make
               heft benchmark make --objects 1 --output results/small
 
     Args:
         output: folder to publish.
-        objects: objects of each kind in each world: of train, validation and test; one number for all three.
-        seed_file: file whose text is the secret of the test split.
-        secret: the secret itself, at least 16 letters; a fresh one if both are left out.
-        workers: worker processes; one a core if left out, 0 runs everything in this process.
+        objects: number of objects of each kind in each world for train, validation and test; one number sets all three.
+        seed_file: file that contains the secret of the test split.
+        secret: the secret itself, at least 16 letters; a random one if neither is given.
+        workers: number of worker processes; default: one per core. 0 runs everything in this process.
     """
     from scenarios.benchmark import make as making
     from scenarios.benchmark.problems import SPLITS

@@ -49,17 +49,17 @@ def score(
     split: Annotated[str | None, tyro.conf.arg(metavar="SPLIT")] = None,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Score answers to a benchmark by world and kind; several files are compared.
+    """Score answers to a benchmark by world and kind of trial, and compare several files.
 
     Examples: heft score mine.csv --benchmark results/benchmark
               heft score results/answers/*.csv --benchmark results/benchmark --json scores.json
 
     Args:
-        answers: CSV files with the columns problem, group, mass_kg, error_kg, status; the last two may be left out.
-        benchmark: published folder.
-        truth: truth of the test split; without it train and validation are scored alone.
-        split: split to score; that of the answers if left out.
-        json: file for all figures and the rows of all problems.
+        answers: CSV files with the columns problem, group, mass_kg, error_kg, status; the last two are optional.
+        benchmark: folder of the published benchmark.
+        truth: truth of the test split; without it, only train and validation can be scored.
+        split: split to score; default: the split of the answers.
+        json: output file with all scores and one row per problem.
     """
     from json import dumps
 

@@ -29,19 +29,19 @@ def learn(
 ) -> None:
     """Train the network of the method `learned`: the posterior of the masses of joined blocks in a lab.
 
-    Draws objects, contacts and setups in the analytic lab, simulates trials, and trains on nine tenths of the objects;
-    the epoch that is best on the others is written. Needs the extra `learned`. Stopped, the same command goes on with
-    the examples that are there, in a folder FILE.parts.
+    Draws objects, contacts and setups in the analytic lab, simulates trials, trains on nine tenths of the objects, and
+    writes the network of the epoch that is best on the others. Needs the extra `learned`. After an interruption, the
+    same command continues with the examples in the folder FILE.parts.
 
     Examples: heft learn
               heft learn --objects 2000 --output lab.pt
 
     Args:
-        output: file to write; learned.pt in heft's folder of the user's cache if left out, where `learned` looks.
-        objects: number of objects to draw, three examples each.
+        output: output file; default: learned.pt in heft's folder of the user cache, where `learned` finds it.
+        objects: number of objects to draw, with three examples each.
         epochs: passes through the examples.
         seed: seed of objects, setups and training.
-        workers: processes that make the examples; one a core if left out, 0: in this one.
+        workers: number of processes that make the examples; default: one per core. 0 uses this process.
     """
     import torch
 

@@ -29,15 +29,15 @@ def calibrate(
     config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml"),
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 3.0,
 ) -> None:
-    """Find the sensor's rotation and sign, and the tool's mass. Moves nothing: you move the arm, by its joystick.
+    """Estimate the sensor's rotation and sign, and the tool's mass. Moves nothing: you move the arm by its joystick.
 
-    Bring the arm into six or more poses, tilted by 30 degrees and more about two axes and both ways, one of them upside
-    down or level; at each, wait until it stands and press Enter. From the sixth on it shows how well all is known. The
-    result goes to calibration.toml beside the robot file, for this sensor and the tool below it alone.
+    Move the arm to six or more poses, tilted by at least 30 degrees about two axes and in both directions, one of them
+    upside down or level; wait at each until the arm stands still, and press Enter. From the sixth pose on, the errors
+    of the result are shown. It is written to calibration.toml beside the robot file and holds for this sensor and tool.
 
     Args:
         config: robot file; names the file to write ([sensor] calibration).
-        seconds: duration of measuring in each pose.
+        seconds: duration of the measurement in each pose.
     """
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.static_poses import calibrate as fit
@@ -112,10 +112,10 @@ def hand_eye(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("hand_eye.toml"),
 ) -> None:
-    """Find a tracker's pose in the arm's base frame, from points that the tool touched and the tracker saw.
+    """Estimate a tracker's pose in the arm's base frame from points touched by the tool and seen by the tracker.
 
-    POINTS.csv has a row per point, 4 or more, not on one line, in meters: seen_x, seen_y, seen_z in the tracker's frame
-    and touched_x, touched_y, touched_z of the tool center point in the arm's base frame. Moves nothing.
+    POINTS.csv has one row per point, in meters: seen_x, seen_y, seen_z in the tracker's frame and touched_x, touched_y,
+    touched_z of the tool center point in the arm's base frame; at least 4 points, not on one line. Moves nothing.
 
     Example: heft robot hand-eye points.csv --out hand_eye.toml
 

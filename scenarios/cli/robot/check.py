@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 def check(*, config: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("robot.toml")) -> None:
-    """Show which parts of the real robot are there, what is missing, and what to do about it. Moves nothing.
+    """Check which parts of the real robot are available, what is missing, and how to fix it. Moves nothing.
 
-    The robot is described by a file, robot.toml in the current folder: its arm, sensor, gripper and table, and the
-    limits of every motion. docs/hardware.md has every field and the way from here to a first trial, step by step.
+    The robot file, robot.toml in the current folder, describes the arm, sensor, gripper and table, and limits every
+    motion. docs/hardware.md lists every field and the steps to a first trial.
 
-    Exit code: 0 all that a trial needs is there, 1 something is missing.
+    Exit code: 0 if everything that a trial needs is available, otherwise 1.
 
     Example: heft robot check --config benches/left.toml
 
     Args:
-        config: robot file; without a robot.toml, its defaults.
+        config: robot file; defaults apply if there is no robot.toml.
     """
     from scenarios.cli.terminal import open_console
 
@@ -181,12 +181,12 @@ def _arm(file: RobotFile, *, can_connect: bool) -> Line:
 
 
 def verify(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]) -> None:
-    """Test the sensor's sign, rotation and zero by measured trials and physics alone. Moves nothing.
+    """Test the sensor's sign, rotation and zero with measured trials and physics only. Moves nothing.
 
-    A hanging object pulls down, friction takes work out of every turn and slide, the force of a slide is against its
-    motion, and the torque of a turn flips when it is turned back: that needs no masses. A scale's reading in the folder
-    is compared with the lift. The centers of the turns show a wrong closing direction, TCP, grasp or side. Best are
-    a weighing by lifting, three turns there and back about points apart, and two slides.
+    The tests need no masses: a hanging object pulls down, friction dissipates work in every turn and slide, the force
+    of a slide opposes its motion, and the torque of a turn changes sign on the way back. The reading of a scale in the
+    folder is compared with the lift. The centers of the turns reveal a wrong closing direction, TCP, grasp or side.
+    Recommended: weighing by a lift, three turns there and back about separate points, and two slides.
 
     Exit code: 1 if something is wrong.
 

@@ -26,20 +26,20 @@ def sensor(
     mass: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None,
     viewer: bool = True,
 ) -> None:
-    """Show the wrench sensor live in Rerun, or as a line a second; or check it against a known mass. Moves nothing.
+    """Show the wrench sensor live in Rerun or as one line per second, or check it against a known mass. Moves nothing.
 
-    Numbers are mean +- standard deviation over a second, forces then torques, with the sensor's own zero and sign.
-    Exit code: 1 if it disagrees with the mass, or loses more than one frame in a hundred.
+    Numbers are mean +- standard deviation over one second, forces then torques, with the sensor's own zero and sign.
+    Exit code: 1 if the reading disagrees with the mass, or if more than 1 % of the frames are lost.
 
     Examples: heft robot sensor --port /dev/ttyUSB0 --no-viewer --seconds 5
               heft robot sensor --mass 2
 
     Args:
-        config: robot file; only its sensor is used.
-        port: device file of the sensor, instead of the config's.
+        config: robot file, of which only the sensor is used.
+        port: device file of the sensor; default: as in the robot file.
         seconds: duration.
-        mass: a known mass, to hang from the tool when the command asks for it.
-        viewer: Rerun; numbers without it, or if none can open.
+        mass: known mass to hang from the tool on request, kg.
+        viewer: show the readings in Rerun; otherwise, or if no viewer opens, print numbers.
     """
     from testbed.robot.registry import build_sensor, load_robot_file
     from testbed.validation import check_positive

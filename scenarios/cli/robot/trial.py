@@ -51,9 +51,9 @@ def trial(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/robot"),
     dry_run: bool = False,
 ) -> None:
-    """Run one trial on the real arm and store it. The motion is shown, and made only after you have typed yes.
+    """Run one trial on the real arm and store it. The motion is shown first and starts only after you type yes.
 
-    Exit code: 1 if the trial is no data.
+    Exit code: 1 if the trial is unusable.
 
     Examples: heft robot trial L2 --grasp A2 --dry-run
               heft robot trial L2 --grasp A2 --speed 5 --seconds 2 --out results/lab
@@ -63,28 +63,27 @@ def trial(
 
     Args:
         object_: name in the library, or path to a TOML file.
-        action: kind of action; lift rocks the object in the air, stop_and_go holds it still at several tilts there;
-            push goes against a face with closed fingers, and needs a camera.
-        grasp: grasp by name (see heft show); the first one if left out.
-        seconds: duration at constant speed, or at rest in the air; the action's own if left out.
+        action: kind of action; lift rocks the object in the air, stop_and_go holds it there at several tilts,
+            push moves closed fingers against a face and needs a camera.
+        grasp: grasp by name (see heft show); default: the first.
+        seconds: duration at constant speed, or at rest in the air; default: that of the action.
         speed: speed of a turn, deg/s, or of a slide or a push, m/s.
-        pivot: center of a turn, mm from the object's middle; between particles beside the grasp if left out.
-        point: point of the outline that a push meets, mm from the object's middle; on the longest face if left out.
-        direction: direction of a slide or a push in the object's frame; along x, or into the face, if left out.
-        curvature: turn of a push's path a length of it, left positive, rad/m.
+        pivot: center of a turn, mm from the object's middle; default: between particles beside the grasp.
+        point: point of the outline where a push makes contact, mm from the object's middle; default: longest face.
+        direction: direction of a slide or a push in the object frame; default: along x, or into the face.
+        curvature: curvature of a push's path, positive to the left, rad/m.
         length: length of a push.
         radius: radius of the fingertip that pushes.
-        tilt: greatest tilt of a lift, as far as tilt_deg of the robot file allows; the action's own if left out.
+        tilt: maximum tilt of a lift, up to tilt_deg of the robot file; default: that of the action.
         back: turn back again in the same grasp.
-        at: place of the object's middle, m, and its turn, base frame of the arm; if left out, the place that gives the
-            simulation's path.
-        at_seen: plan from where the camera sees the object.
-        weight: reading of a scale; only with --action weigh, then nothing moves.
-        support: what carries the object's weight, as far as you know: own_weight, rigid, or a stiffness in N/m; if
-            left out, rigid for an object on points of contact, else own_weight.
+        at: position of the object's middle, m, and its yaw, in the arm's base frame; default: as in simulation.
+        at_seen: plan from the object pose seen by the camera.
+        weight: reading of a scale, kg; only with --action weigh, which moves nothing.
+        support: support of the object, if known: own_weight, rigid, or a stiffness in N/m; default: rigid for an object
+            with contact points, otherwise own_weight.
         config: robot file.
         out: results folder.
-        dry_run: show the motion, and connect to nothing.
+        dry_run: show the motion without connecting to any device.
     """
     from testbed.objects.files import load_object
     from testbed.objects.model import SPARE_OPENING

@@ -71,7 +71,7 @@ def import_(
     print(
         f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, "
         f"{f'{bad} of them not usable' if bad else 'all usable'}; next: heft estimate {out}"
-        + ("" if weight is not None else f", once it knows what {name} weighs: --weight KG"),
+        + ("" if weight is not None else f", after importing with the weight of {name}: --weight KG"),
     )
     if bad:
         sys.exit(1)

@@ -52,7 +52,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
     if known:
         path = mapping.with_suffix(".found.toml")
         write_text(path, text)
-        print(f"{path}: look it through, correct what is wrong, then heft import {path}")
+        print(f"{path}: review and correct it, then run heft import {path}")
     return not failed
 
 
@@ -118,11 +118,11 @@ def _say_grasps(found: Sequence[Segment]) -> bool:
         return True
     if all(action.grasps for action in actions):
         several = " or ".join(actions[0].grasps)
-        print(f"the motion fits several grasps: name the first, --grasps NAME ({several})")
+        print(f"the motion is consistent with several grasps: name the first, --grasps NAME ({several})")
     else:
         print(
-            "no grasps lie as the hand went from one action to the next: tcp_in_hand_m, closing_deg or the object is "
-            f"wrong; or it was laid anew: then name the grasps of all {len(actions)} actions, --grasps NAME ..."
+            "no grasps match the motion of the hand between the actions: tcp_in_hand_m, closing_deg or the object is "
+            f"wrong; if the object was placed again, name the grasps of all {len(actions)} actions, --grasps NAME ..."
         )
     return False
 

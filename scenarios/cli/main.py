@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"heft: {error}", file=sys.stderr)
         sys.exit(2)
     except ImportError as error:
-        print(f"heft: this installation is not whole: {error}; install heft-testbed again", file=sys.stderr)
+        print(f"heft: this installation is incomplete: {error}; install heft-testbed again", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # what reads our output has read enough: `heft ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -98,7 +98,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"heft: {error.strerror or error}{place}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("heft: stopped; the same command goes on from here", file=sys.stderr)
+        print("heft: stopped; run the same command again to continue", file=sys.stderr)
         sys.exit(130)
 
 

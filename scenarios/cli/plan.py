@@ -210,7 +210,7 @@ class Search:
         from estimators.action_selection.design import ASSUMED_SUPPORTS
 
         if self.lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
-            allowed = "no lifts where every block rests on its own weight, and only what is gripped would come along"
+            allowed = "no lifts with own_weight: only the gripped block would come along"
             raise InvalidValueError("lifts", self.lifts, f"{allowed}; lift under support rigid or either")
         return ActionFamily(lifts=self.lifts, pushes=self.pushes)
 
@@ -358,7 +358,7 @@ def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Ite
         f"({100 * made.before.expected_nad:.0f} % from the weighing alone)"
     )
     if goal.until is not None and made.after.expected_nad > goal.until:
-        yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this can have"
+        yield f"the target of {100 * goal.until:g} % is not reached; {nad} is the best that this plan achieves"
     for assumptions in guess.assumptions():
         actions = [a for a in made.actions if assumptions.support == "rigid" or not a.in_air]
         report = expected(shape, guess.uniform(shape), actions, guess.sensing, assumptions)
@@ -366,4 +366,4 @@ def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Ite
     reasons = dict.fromkeys(f"{action.words(shape).name}: {why}" for action, why in made.rejected)
     yield from (f"not feasible: {reason}" for reason in list(reasons)[:MOST_REJECTED])
     if len(made.rejected) > MOST_REJECTED:
-        yield f"{len(made.rejected)} actions in all would have taught more and are not feasible"
+        yield f"{len(made.rejected)} actions in total would be more informative but are not feasible"

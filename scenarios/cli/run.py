@@ -139,8 +139,8 @@ def run(
     print(*(line for line in written if not line.startswith("figure: ")), sep="\n")
     amiss = tally(row["status"] for row in results)
     reasons = f" ({amiss}: report.html has the reasons)" if amiss else ""
-    print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s{reasons}; all of it in {folder}/")
-    print(f"look: heft view {folder}")
+    print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s{reasons}; results in {folder}/")
+    print(f"view: heft view {folder}")
     if not good:
         sys.exit(1)
 
@@ -271,7 +271,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     if not (folder / "manifest.json").is_file():
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
         raise InvalidValueError("DIR", str(folder), allowed)
-    manifest = unless_damaged(lambda: read_manifest(folder), "the same command writes it again") or {}
+    manifest = unless_damaged(lambda: read_manifest(folder), "rewritten by the same command") or {}
     expected, failed, counts = manifest.get("expected") or {}, [], []
     for stage, file in STAGES.items():
         found = [content or {} for _, content in stored(folder, stage, "of unknown status")]
@@ -293,7 +293,7 @@ def _state(manifest: dict[str, Any], *, running: bool) -> str:
         return "a run is writing here now"
     if "finished" not in manifest:  # of an earlier version
         return "nothing is running here"
-    return "finished" if manifest["finished"] else "stopped before its end; the same command goes on from here"
+    return "finished" if manifest["finished"] else "stopped early; run the same command again to continue"
 
 
 def _of(done: int, expected: int | None) -> str:

@@ -113,7 +113,7 @@ def touch(
             print(f"recording: {record_results(folder)}")
         except HeftError as error:
             print(f"no recording: {error}")
-        print(f"report: {report(folder)}; all of it in {folder}/\nlook: heft view {folder}")
+        print(f"report: {report(folder)}; results in {folder}/\nview: heft view {folder}")
     if not result.last.answered:
         sys.exit(1)
 
@@ -141,18 +141,18 @@ def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterato
     error = f"expected NAD {100 * (last.nad if last.answered else last.even_nad):.3g} %"
     if not last.answered:
         why = (answer.message if answer is not None else "") or "there are no trials"
-        yield f"there is no answer: {why}"
-        yield f"the best to be had is the weight, {row['weight_kg']:.3f} kg, and even masses: {error}"
+        yield f"no answer: {why}"
+        yield f"the best available is the weight, {row['weight_kg']:.3f} kg, and even masses: {error}"
     elif goal.until is not None and not goal.met(last.nad):
-        yield f"the target of {100 * goal.until:g} % is not reached: {error} is the best to be had"
+        yield f"the target of {100 * goal.until:g} % is not reached: {error} is the best achieved"
     if last.answered and math.isfinite(row["nad"]):
         error += f", against the truth {100 * row['nad']:.3g} %"
     yield f"{len(result.keys) - 1} trials, {result.robot_s:.0f} s of the robot; {error}"
     if last.answered:
         misfit = answer.diagnostics.get("misfit", 1.0) if answer is not None else 1.0
         if last.supports == ("own_weight",) and misfit > UNEXPLAINED:
-            disagreement = "the trials disagree by more than their errors, which are taken to be as much larger"
-            yield f"{disagreement}: mean squared misfit {misfit:.3g} where about 1 is expected"
+            disagreement = "the trials disagree by more than their errors, which are widened accordingly"
+            yield f"{disagreement}: mean squared misfit {misfit:.3g} instead of about 1"
         if row.get("mass_kg") is not None:
             masses = zip(row["group_names"], row["mass_kg"], last.standard_error, strict=True)
             yield ", ".join(f"{group} {mass:.3f} ± {std:.3f}" for group, mass, std in masses) + " kg"

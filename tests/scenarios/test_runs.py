@@ -99,7 +99,7 @@ def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130, stderr
-    assert b"goes on from here" in stderr and b"Traceback" not in stderr
+    assert b"run the same command again to continue" in stderr and b"Traceback" not in stderr
     assert_whole(out)
     assert not list(out.rglob("*.part"))
     pd.testing.assert_frame_equal(resumed(finished.scenario, out), finished.rows)

@@ -251,7 +251,7 @@ def _place(planned: Trial, at: tuple[float, float, float] | None) -> KnownPose:
 def _confirmed(motion: str) -> bool:
     print(motion)
     print(
-        "Is the object in its place, the way clear, and a hand on the emergency stop? yes and Enter moves the arm: ",
+        "Is the object in place, the path clear, a hand on the emergency stop? Type yes and Enter to move the arm: ",
         end="",
         flush=True,
     )

@@ -116,7 +116,7 @@ def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
     assert (out / "recording.rrd").stat().st_size > 1000
     command = f"heft touch docs/objects/T.toml --candidates 600 --out {out}"  # 5% is the default
     assert command in (out / "report.html").read_text(encoding="utf-8")
-    assert f"report: {out / 'report.html'}; all of it in {out}/" in said
+    assert f"report: {out / 'report.html'}; results in {out}/" in said
     main(["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)])
     assert np.isclose(load_results(out).iloc[0]["nad"], row["nad"])
 

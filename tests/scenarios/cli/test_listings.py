@@ -60,8 +60,8 @@ EXPECTED = {"trials": 4, "estimates": 3}
     ("manifest", "state", "trials"),
     [
         ({"finished": True}, "finished", "2 done, 0 failed"),
-        ({"finished": False, "expected": EXPECTED}, "stopped before its end", "2 done of about 4, 0 failed"),
-        ({"finished": False, "expected": {"trials": 1, "estimates": 1}}, "stopped before its end", "2 done, 0 failed"),
+        ({"finished": False, "expected": EXPECTED}, "stopped early", "2 done of about 4, 0 failed"),
+        ({"finished": False, "expected": {"trials": 1, "estimates": 1}}, "stopped early", "2 done, 0 failed"),
         ({}, "nothing is running here", "2 done, 0 failed"),  # of an earlier version
     ],
 )
@@ -145,7 +145,7 @@ def test_no_command_prints_the_help(capsys, words):
     ("error", "line"),
     [
         (HeftError("no such arm"), "heft: no such arm"),
-        (ModuleNotFoundError("No module named 'av'"), "heft: this installation is not whole: No module named 'av'; "),
+        (ModuleNotFoundError("No module named 'av'"), "heft: this installation is incomplete: No module named 'av'; "),
         (PermissionError(13, "Permission denied", "/x"), "heft: Permission denied: /x"),
     ],
 )
@@ -224,7 +224,7 @@ def test_a_recording_is_found_and_imported(
     said = " ".join(capsys.readouterr().out.split())
     assert "accelerated turn left 8 steps 140 deg (0, 0) A3 0.0" in said
     assert "turn left and back 10.0 deg/s 41 deg (8, 8) A4 14.1" in said
-    assert "lab.found.toml: look it through" in said
+    assert "lab.found.toml: review and correct it" in said
     assert ended("import", "lab.found.toml", "--out", "lab") == 0
     said = capsys.readouterr().out
     assert "ok      day.csv, 0 s to 14.12 s: L2: accelerate (grasp 3" in said

@@ -30,8 +30,8 @@ from testbed.trajectory import Trajectory
 from testbed.validation import check_integer
 
 Solver = Literal["closed_form", "descent"]
-LEAST_ROUNDS, SETTLED = 3, 0.05
-"""Least number of rounds; and change of the masses from one to the next, over the whole mass, below which they end."""
+MOST_ROUNDS, SETTLED = 8, 0.05
+"""Largest number of rounds, and the change of the masses in one, over the whole mass, below which they end."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class HiddenStates:
     """Gradient steps of each optimizer; 500 in the paper."""
     optimizers: tuple[str, ...] = OPTIMIZERS
     """Optimizers to descend with; the one with the lowest loss is taken."""
-    refinements: int = 8
-    """Most rounds of solving, each with the errors and the gripper's load that are likeliest after the round before;
-    after three they end where the masses have settled."""
+    refinements: int = 3
+    """Least number of rounds of solving, each with the errors and the gripper's load that are likeliest after the round
+    before; up to `MOST_ROUNDS` until the masses have settled."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
     force_error: float = ModelErrors.force_error
@@ -101,14 +101,14 @@ class HiddenStates:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         guess = trials.first_guess()
         solution: Solution | None = None
-        for done in range(self.refinements):
+        for done in range(max(self.refinements, MOST_ROUNDS)):
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
             if isinstance(found, Underdetermined):
                 return _underdetermined(trials, found, guess)
             trials, last = trials.about_errors(guess, found.H.friction_load), guess
             solution, guess = found, _settled(trials, found)
             change = np.abs(guess.mass - last.mass) @ shape.particles_per_group
-            if done + 1 >= LEAST_ROUNDS and change < SETTLED * weight:
+            if done + 1 >= self.refinements and change < SETTLED * weight:
                 break
         assert solution is not None
         return _estimate_of(trials, solution)

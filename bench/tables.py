@@ -114,8 +114,8 @@ class Figures:
 
 def _row(support: str, method: str, name: str, found: Sequence[Any], nad: list[float]) -> dict[str, str]:
     ok = sum(row["status"] == "ok" for row in found)
-    mean = f"{fmean(nad):.3f}" if nad else ""
-    spread = f"{stdev(nad):.3f}" if len(nad) > 1 else ""
+    mean = f"{fmean(nad):.4f}" if nad else ""
+    spread = f"{stdev(nad):.4f}" if len(nad) > 1 else ""
     return dict(zip(FIELDS, (support, method, name, str(len(found)), str(ok), mean, spread, ""), strict=True))
 
 

@@ -163,4 +163,4 @@ def test_figures_of_the_lab_come_again(tmp_path: Path):
     rows = rows_of(run_scenario(scenario, tmp_path, 2, quiet, secret=secret))
     for method in methods:
         mean = fmean(100 * row["nad"] for row in rows if row["method"] == method)
-        assert near(figures.cell(method, "L1", "nad_mean"), f"{mean:.3f}"), method
+        assert near(figures.cell(method, "L1", "nad_mean"), f"{mean:.4f}"), method

@@ -23,7 +23,6 @@ from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
-from estimators.posterior.on_table import OnTable
 from estimators.testing.analytic_links import drawn_chain
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
@@ -143,9 +142,8 @@ def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     equations = trials.friction_equations(model.truth)
     held = equations.wide["hinge_friction"] @ torch.tensor(model.hinge_friction, dtype=torch.float64) / HINGE_PRIOR
     off = equations.b - equations.q @ torch.tensor(s) - held
-    on_table = OnTable.of(model.shape, windows, "own_weight", ModelErrors())
     drag, turning = trials.groups.spread(s), ~windows.standing
-    lever, hinges = on_table.table.lever.norm(dim=-1) @ drag, equations.drag_rows[:, 6:].abs() @ drag
+    lever, hinges = trials.on_table.table.lever.norm(dim=-1) @ drag, equations.drag_rows[:, 6:].abs() @ drag
     planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 5].abs() / lever], 1)
     about = off[:, 6:][turning].abs() / hinges[turning]
     return 100 * planar.numpy(), 100 * about.numpy()

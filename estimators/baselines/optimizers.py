@@ -100,7 +100,7 @@ class NelderMead(Peer):
 
     def _search(self, problem: Problem, seed: int) -> SearchResult:
         objective = Objective(problem, self.weighting, seed)
-        point, least, left, gained = objective.start, objective.loss(objective.start), self.iterations - 1, True
+        point, least, left, gained = objective.start, 1.0, self.iterations, True  # the first guess has a loss of 1
         while gained and left > 0:
             found = minimize(objective.loss, point, method="Nelder-Mead", options={"maxfev": left})
             gained, left = found.fun < (1 - RESTART) * least, left - found.nfev

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -50,6 +51,8 @@ class TrialWindows:
     """Robot time that the trials took, s."""
     off: Theta | None = None
     """Guess of the stated errors, each in its own unit; None before the first answer."""
+    kept: OnTable | None = field(default=None, repr=False)
+    """`on_table` of the same windows, where it has been made."""
     _equations: dict[MassDistribution, FrictionEquations] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -94,13 +97,17 @@ class TrialWindows:
         """s under given masses and frictions, N."""
         return friction_loads(self.shape, self.groups.pairs, at)
 
+    @cached_property
+    def on_table(self) -> OnTable:
+        """The windows as measurements of the joint posterior, without errors of I_j, which come with it."""
+        errors = replace(self.errors, inertia_error=0.0)
+        return self.kept or OnTable.of(self.shape, self.windows, "own_weight", errors)
+
     def friction_equations(self, guess: MassDistribution) -> FrictionEquations:
         """Q s = b of all windows in N and N m, whatever c and I_j may be; of one guess they are worked out once."""
         if guess not in self._equations:
             self._equations.clear()
-            errors = replace(self.errors, inertia_error=0.0)  # that of I_j comes with it
-            on_table = OnTable.of(self.shape, self.windows, "own_weight", errors)
-            found = FrictionEquations.about(on_table, self.weight, guess, errors, self.off)
+            found = FrictionEquations.about(self.on_table, self.weight, guess, self.on_table.errors, self.off)
             self._equations[guess] = replace(found, wide=found.wide | self._open_inertia())
         return self._equations[guess]
 
@@ -121,7 +128,7 @@ class TrialWindows:
 
     def about_errors(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> TrialWindows:
         """The windows with rows about the most likely errors at friction loads s, N."""
-        return replace(self, off=self.friction_equations(guess).likely_errors(s))
+        return replace(self, off=self.friction_equations(guess).likely_errors(s), kept=self.on_table)
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""

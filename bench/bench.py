@@ -85,13 +85,13 @@ def bare_loop(settings: SimulationSettings) -> Callable[[], None]:
     scene = build_scene(trial.object, OWN_WEIGHT, trial.grasp, settings, origin=motion.center)
     data = mujoco.MjData(scene.model)
     place(scene, data, motion)
-    servo = Servo(scene.model, motion, settings)
+    servo = Servo(scene.model, data, motion, settings)
     controls = []
     for tick in range(len(motion.q)):
-        servo.command(data, tick)
+        servo.command(tick)
         controls.append(data.ctrl.copy())
         mujoco.mj_step(scene.model, data, settings.steps)
-        servo.measure(data, tick)
+        servo.measure(tick)
 
     def bare() -> None:
         mujoco.mj_resetData(scene.model, data)

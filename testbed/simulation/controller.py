@@ -20,40 +20,45 @@ class Servo:
     move smoothly between ticks without a call per step.
     """
 
-    def __init__(self, model: mujoco.MjModel, motion: Motion, settings: SimulationSettings):
-        self._motion, self._settings = motion, settings
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
+        self._data, self._motion, self._settings = data, motion, settings
         self._dt = 1 / settings.rate
         self._stiffness = model.actuator_gainprm[:7, 0].copy()
-        self._lag = -model.actuator_biasprm[:7, 2] / self._stiffness
+        lag = -model.actuator_biasprm[:7, 2] / self._stiffness
+        self._ahead = lag * motion.qd
+        self._gain = settings.servo.integral_gain * self._dt
         self._integral = np.zeros(7)
         self._shift = np.zeros(7)
         self._tare = np.zeros(6)
         self._jacobian = np.zeros((6, model.nv))
-        self._tcp = model.site("gripper/tcp").id
-        self._wrench = model.site("ft/wrench").id
-        self._force = model.sensor("ft/force").adr[0]
-        self._torque = model.sensor("ft/torque").adr[0]
+        self._tcp, sensor = model.site("gripper/tcp").id, model.site("ft/wrench").id
+        # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
+        self._position, self._target, self._control = data.qpos[:7], data.act[:7], data.ctrl
+        self._force, self._torque = (data.sensordata[a : a + 3] for a in _addresses(model))
+        self._rotation, self._place = data.site_xmat[sensor].reshape(3, 3), data.site_xpos[sensor]
+        self._tip = data.site_xpos[self._tcp]
         self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
         # what it gathered on the way down would shift the hand as it closes
         self._integrates = motion.phase >= Phase.GRASP
         self._holds = (motion.phase >= Phase.SETTLE) & (motion.phase < Phase.RELEASE)
         self._tares, self._settles = motion.phase == Phase.TARE, motion.phase == Phase.SETTLE
 
-    def command(self, data: mujoco.MjData, tick: int) -> None:
+    def command(self, tick: int) -> None:
         """Set joint speeds and grip for the coming tick."""
         reference = self._motion.q[tick] + self._shift
         if self._integrates[tick]:
-            self._integral += self._settings.servo.integral_gain * self._dt * (reference - data.qpos[:7])
-        target = reference + self._lag * self._motion.qd[tick] + self._integral
-        data.ctrl[:7] = (target - data.act[:7]) / self._dt
+            self._integral += self._gain * (reference - self._position)
+        target = reference + self._ahead[tick] + self._integral
+        self._control[:7] = (target - self._target) / self._dt
         if self._weld is None:
-            data.ctrl[7] = self._motion.grip[tick] * self._settings.grip.force
+            self._control[7] = self._motion.grip[tick] * self._settings.grip.force
         else:
-            self._hold(data, held=bool(self._holds[tick]))
+            self._hold(held=bool(self._holds[tick]))
 
-    def _hold(self, data: mujoco.MjData, *, held: bool) -> None:
+    def _hold(self, *, held: bool) -> None:
         """Weld hand and object in their present pose, or release them; the fingers stay open."""
-        data.ctrl[7] = _OPENING_FORCE
+        data = self._data
+        self._control[7] = _OPENING_FORCE
         if held and not data.eq_active[self._weld]:
             model = data.model
             hand, body = model.eq_obj1id[self._weld], model.eq_obj2id[self._weld]
@@ -65,28 +70,31 @@ class Servo:
             mujoco.mju_mulQuat(relative[6:10], back, data.xquat[body])
         data.eq_active[self._weld] = held
 
-    def measure(self, data: mujoco.MjData, tick: int) -> None:
+    def measure(self, tick: int) -> None:
         """Read the sensor as the robot does: zero it while hovering, null load and tilt in `nulling` ticks."""
         if self._tares[tick]:
-            self._tare = self._wrench_world(data)
+            self._tare = self._wrench_world()
         elif self._motion.nulling[tick]:
             nulls = self._settles[tick] or self._motion.closed
             gain = self._settings.servo.null_gain if nulls else self._settings.servo.comply_gain
-            self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection(data)
+            self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection()
 
-    def _wrench_world(self, data: mujoco.MjData) -> np.ndarray:
-        rotation = data.site_xmat[self._wrench].reshape(3, 3)
-        force, torque = (data.sensordata[a : a + 3] for a in (self._force, self._torque))
-        return np.concatenate([rotation @ force, rotation @ torque])
+    def _wrench_world(self) -> np.ndarray:
+        return np.concatenate([self._rotation @ self._force, self._rotation @ self._torque])
 
-    def _deflection(self, data: mujoco.MjData) -> np.ndarray:
+    def _deflection(self) -> np.ndarray:
         """Joint offsets due to the unwanted load: vertical force, and tilt about the table [rad]."""
-        wrench = self._wrench_world(data) - self._tare
+        wrench = self._wrench_world() - self._tare
         force = wrench[:3]
-        torque = wrench[3:] - np.cross(data.site_xpos[self._tcp] - data.site_xpos[self._wrench], force)
-        height = data.site_xpos[self._tcp][2]
+        torque = wrench[3:] - np.cross(self._tip - self._place, force)
+        height = self._tip[2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
         if self._motion.closed:  # a push tilts what it pushes: only the force up or down is unwanted
             unwanted[3:] = 0.0
-        mujoco.mj_jacSite(data.model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
+        mujoco.mj_jacSite(self._data.model, self._data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7].T @ unwanted / self._stiffness
+
+
+def _addresses(model: mujoco.MjModel) -> tuple[int, int]:
+    """Addresses of the wrist's force and torque in the sensor data."""
+    return int(model.sensor("ft/force").adr[0]), int(model.sensor("ft/torque").adr[0])

@@ -27,10 +27,8 @@ TIPPED = math.radians(5.0)
 """Tilt of a pushed object that tips over [rad]; one that slides on its feet tilts by 1 to 2 degrees."""
 LEFT = 0.1
 """Time without contact after which a fingertip has left the object [s]."""
-_FAULTS = [
-    int(each)
-    for each in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
+_FAULTS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+"""Warnings of a diverged simulation: of positions, velocities and accelerations."""
 _NONE = np.zeros(7)
 
 _PoseInHand = tuple[np.ndarray, np.ndarray]
@@ -54,12 +52,15 @@ class Monitor:
     Slip is planar on the table, and spatial in the air, where the object may also fall or tilt.
     """
 
-    def __init__(self, model: mujoco.MjModel, scene: Scene, motion: Motion, settings: SimulationSettings):
-        self._rate = settings.rate
-        self._tcp = model.site("gripper/tcp").id
-        self._body = scene.object_body
-        first = model.sensor("arm/joint_1_torque").adr[0]
-        self._torques = slice(first, first + 7)
+    def __init__(self, scene: Scene, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
+        model, body = scene.model, scene.object_body
+        self._rate, self._data = settings.rate, data
+        tcp, first = model.site("gripper/tcp").id, model.sensor("arm/joint_1_torque").adr[0]
+        # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
+        self._velocity, self._sensors = data.qvel[:7], data.sensordata
+        self._torques, self._faults = data.sensordata[first : first + 7], data.warning.number[_FAULTS]
+        self._hand, self._hand_at = data.site_xmat[tcp].reshape(3, 3), data.site_xpos[tcp]
+        self._axes, self._object_at = data.xmat[body].reshape(3, 3), data.xpos[body]
         self._limit = model.jnt_actfrcrange[:7, 1]
         self._held = (motion.phase >= Phase.SETTLE) & (motion.phase != Phase.RELEASE)
         self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
@@ -74,25 +75,25 @@ class Monitor:
         self._state: dict[str, list[float]] = {}
         self._good: dict[str, list[float]] = {}
 
-    def trouble(self, data: mujoco.MjData, tick: int) -> bool:
+    def trouble(self, tick: int) -> bool:
         """Check one tick; True if the trial must end."""
-        speed = np.abs(data.qvel[:7]) / JOINT_SPEED_LIMIT
+        speed = np.abs(self._velocity) / JOINT_SPEED_LIMIT
         fastest = speed.max()
-        warned = data.warning.number[_FAULTS].any()
-        if warned or not np.isfinite(data.sensordata).all() or not fastest < IMPOSSIBLE_SPEED:
+        finite = math.isfinite(self._sensors.sum())
+        if self._faults.any() or not finite or not fastest < IMPOSSIBLE_SPEED:
             self._state = {
-                "qpos": np.nan_to_num(data.qpos).tolist(),
-                "qvel": np.nan_to_num(data.qvel).tolist(),
+                "qpos": np.nan_to_num(self._data.qpos).tolist(),
+                "qvel": np.nan_to_num(self._data.qvel).tolist(),
                 "last_good_qpos": self._good.get("qpos", []),
             }
             return self._end("fault", f"the simulation diverged at {tick / self._rate:.2f} s")
         if tick % 50 == 0:
-            self._good = {"qpos": data.qpos.tolist()}
-        torque = np.abs(data.sensordata[self._torques]) / self._limit
+            self._good = {"qpos": self._data.qpos.tolist()}
+        torque = np.abs(self._torques) / self._limit
         largest = torque.max()
         self._torque, self._speed = max(self._torque, largest), max(self._speed, fastest)
         self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0) if largest > 0.999 else _NONE
-        if self._saturated.max() > SATURATION_TIME:
+        if largest > 0.999 and self._saturated.max() > SATURATION_TIME:
             joint = int(self._saturated.argmax())
             return self._end(
                 "limit",
@@ -105,19 +106,19 @@ class Monitor:
                 "limit", f"speed: joint {joint + 1} at {fastest:.2f} of its limit at {tick / self._rate:.2f} s"
             )
         if self._tip is not None:
-            return self._tipped(data, tick) or self._left(data, tick)
-        return self._held[tick] and self._slipped(data, tick)
+            return self._tipped(tick) or self._left(tick)
+        return self._held[tick] and self._slipped(tick)
 
-    def _tipped(self, data: mujoco.MjData, tick: int) -> bool:
+    def _tipped(self, tick: int) -> bool:
         """True once a pushed object tips over."""
-        upright = data.xmat[self._body][8]
+        upright = self._axes[2, 2]
         if upright > math.cos(TIPPED):
             return False
         return self._end("slipped", f"the object tipped by {math.degrees(TIPPED):.0f} deg at {tick / self._rate:.2f} s")
 
-    def _left(self, data: mujoco.MjData, tick: int) -> bool:
+    def _left(self, tick: int) -> bool:
         """True once the fingertip of a push has left the object."""
-        if touches(data, self._tip or 0):
+        if touches(self._data, self._tip or 0):
             self._touched, self._since = self._touched + 1, 0
             return False
         self._since += bool(self._touched)
@@ -127,10 +128,9 @@ class Monitor:
         self._reason = f"the fingertip left the object at {tick / self._rate:.2f} s, after {seconds:.2f} s in contact"
         return True
 
-    def _slipped(self, data: mujoco.MjData, tick: int) -> bool:
-        hand = data.site_xmat[self._tcp].reshape(3, 3)
-        position, axes = data.xpos[self._body] - data.site_xpos[self._tcp], data.xmat[self._body].reshape(3, 3)
-        pose = hand.T @ position, hand.T @ axes
+    def _slipped(self, tick: int) -> bool:
+        hand = self._hand.T
+        pose = hand @ (self._object_at - self._hand_at), hand @ self._axes
         if self._grasped is None:
             self._grasped = pose
         moved, turn = self._shift(self._grasped, pose)
@@ -163,11 +163,11 @@ class Monitor:
 
 def _shift_on_table(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:
     """Shift of the grasp point [m] and turn of the object [rad], across the approach axis."""
-    (x, y), (u, v) = before[1][:2, 0], now[1][:2, 0]
+    (x, y), (u, v) = before[1][:2, 0].tolist(), now[1][:2, 0].tolist()
     turn = math.atan2(x * v - y * u, x * u + y * v)
     # the body's origin is not the grasp point: take the part of its shift that the turn explains away
     c, s = math.cos(turn), math.sin(turn)
-    (a, b), (p, q) = before[0][:2], now[0][:2]
+    (a, b), (p, q) = before[0][:2].tolist(), now[0][:2].tolist()
     return math.hypot(p - c * a + s * b, q - s * a - c * b), abs(turn)
 
 

@@ -137,24 +137,24 @@ class SimulationRunner:
         rest, feet = model.pair_friction[scene.foot_pairs], _Feet(scene)
         if log is not None:
             log.start(scene, len(motion.q))
-        servo = Servo(model, motion, self.settings)
-        monitor = Monitor(model, scene, motion, self.settings)
+        servo = Servo(model, data, motion, self.settings)
+        monitor = Monitor(scene, data, motion, self.settings)
         # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
-        steps, count = scene.steps, len(motion.q)
+        steps, count, sensors = scene.steps, len(motion.q), data.sensordata
         for tick in range(len(motion.q)):
-            servo.command(data, tick)
+            servo.command(tick)
             if surface is not None:
                 model.pair_friction[scene.foot_pairs] = rest * surface.factor(*feet.motion(data))[:, None]
             sample[:] = 0.0
             for _ in range(steps):
                 mujoco.mj_step(model, data)
-                sample += data.sensordata
+                sample += sensors
             record[tick] = sample / steps
-            servo.measure(data, tick)
+            servo.measure(tick)
             if log is not None:
                 log.measure(data, tick)
-            if monitor.trouble(data, tick):
+            if monitor.trouble(tick):
                 count = max(tick, 1)
                 break
         record = np.nan_to_num(record[:count])  # only a fault in the first sample leaves something to clear

@@ -68,18 +68,18 @@ class LiveTrial(_Scripted):
         model, data = self._scene.model, self.physics.data.ptr
         mujoco.mj_resetData(model, data)
         place(self._scene, data, self._motion)
-        self._servo = Servo(model, self._motion, self._settings)
-        self._monitor = Monitor(model, self._scene, self._motion, self._settings)
+        self._servo = Servo(model, data, self._motion, self._settings)
+        self._monitor = Monitor(self._scene, data, self._motion, self._settings)
         self._tick = 0
         return dm_env.restart({})
 
     def step(self, action: np.ndarray) -> dm_env.TimeStep:
         """Simulate one sample, as the runner does."""
         model, data = self._scene.model, self.physics.data.ptr
-        self._servo.command(data, self._tick)
+        self._servo.command(self._tick)
         mujoco.mj_step(model, data, self._steps)
-        self._servo.measure(data, self._tick)
-        trouble = self._monitor.trouble(data, self._tick)
+        self._servo.measure(self._tick)
+        trouble = self._monitor.trouble(self._tick)
         self._tick += 1
         over = trouble or self._tick == len(self._motion.q)
         return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})

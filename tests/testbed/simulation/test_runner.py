@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -245,10 +244,10 @@ def test_divergence_ends_a_trial_as_a_fault_with_its_state(monkeypatch, tmp_path
     monkeypatch.chdir(tmp_path)
     measure = Servo.measure
 
-    def explode(self: Servo, data: mujoco.MjData, tick: int) -> None:
-        measure(self, data, tick)
+    def explode(self: Servo, tick: int) -> None:
+        measure(self, tick)
         if tick == 150:
-            data.qvel[0] = 1e11
+            self._data.qvel[0] = 1e11
 
     monkeypatch.setattr(Servo, "measure", explode)
     trajectory = RUNNER.run_clean(Trial(row([0.3, 0.3]), Rotate(0, duration=2.0)))

@@ -1,5 +1,6 @@
 """One rule for the status of every method: `ok` alone where the masses explain the trials."""
 
+import pickle
 from dataclasses import replace
 from functools import lru_cache
 
@@ -13,11 +14,12 @@ from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
-from estimators.evaluation.judged import judged
+from estimators.evaluation import judged as judging
+from estimators.evaluation.judged import judged, misfit_on
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.particles.misfit import UNEXPLAINED
-from estimators.posterior.estimator import Bayes
+from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.registry import METHODS
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.recorded import KnownBlock, load_block
@@ -171,3 +173,18 @@ def test_masses_of_groups_are_told_from_those_of_particles():
     assert "9 times the weight: these are masses of groups" in status_of(says(of_groups)).message
     assert "4 times the weight" in (twice := status_of(says(MassDistribution(4 * TRUTH.mass, TRUTH.friction)))).message
     assert "masses of groups" not in twice.message
+
+
+def test_the_least_misfit_of_the_same_trials_is_found_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(judging, "posterior_of", lambda *a, **k: asked.append("at" in k) or posterior_of(*a, **k))
+    judging._least.cache_clear()
+    wrong, trials = MassDistribution(TRUTH.mass[::-1].copy(), TRUTH.friction), trials_of(OWN)
+    first, second = (
+        misfit_on("own_weight", pickle.loads(pickle.dumps(SHAPE)), OWN.weighed(SENSING), trials, wrong)
+        for _ in range(2)
+    )
+    assert first == second and first is not None and first.least is not None
+    assert first.least < UNEXPLAINED < first.value
+    assert asked == [True, False, True], "a worker gets a copy of the shape with every task"
+    judging._least.cache_clear()

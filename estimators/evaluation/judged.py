@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -127,21 +126,18 @@ def misfit_on(
     misfit, weighed = found.explained, abs(total / (weight or total) - 1) < SAME_WEIGHT
     if misfit.explains or (misfit.inertia is not None and weighed):
         return misfit
-    return replace(misfit, least=_least(pickle.dumps(shape), weight or total, tuple(trajectories), support, errors))
+    return replace(misfit, least=_least(shape, weight or total, tuple(trajectories), support, errors))
 
 
 @lru_cache(maxsize=8)
 def _least(
-    shape: bytes,
+    shape: ObjectShape,
     weight: float,
     trajectories: tuple[Trajectory, ...],
     support: JoinedSupport,
     errors: ModelErrors | None,
 ) -> float:
-    """Misfit of the masses and frictions that fit best: the same for every method that fits the same trials worse.
-
-    A worker unpickles a shape for every task, so its content is the key.
-    """
-    best = posterior_of(pickle.loads(shape), weight, trajectories, support, errors=errors)
+    """Misfit of the masses and frictions that fit best: the same for every method that fits the same trials worse."""
+    best = posterior_of(shape, weight, trajectories, support, errors=errors)
     assert best is not None
     return best.explained.value

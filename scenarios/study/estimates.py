@@ -253,14 +253,30 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
     trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
     seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
     task = draws[0][0]
+    shape = _kept(_ByContent(key_of(object_request(task.truth)), task.truth)).shape
     with nullcontext() if task.kind in METHODS else printing_into(store.log(task.method)):
         weights, moved = [weight_of(trials[0]) for trials in seen], [trials[1:] for trials in seen]
         seeds = [seed for _, seed, _ in draws]
-        answers = judged_answers(task.method, task.settings, task.truth.shape, weights, moved, seeds)
+        answers = judged_answers(task.method, task.settings, shape, weights, moved, seeds)
     for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
         labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
         judged = judge(task.truth, answer, given, drawn[len(given) :], task.true_support)
         store.put_estimate(key, {"seed": seed} | labels | judged, answer, task.truth.shape)
+
+
+@dataclass(frozen=True)
+class _ByContent:
+    """Object model that equals another of the same content."""
+
+    key: str
+    """Content key."""
+    model: ObjectModel = field(compare=False)
+
+
+@lru_cache(maxsize=8)
+def _kept(given: _ByContent) -> ObjectModel:
+    """One model for all tasks on an object: each brings a copy, and results are cached by the shape itself."""
+    return given.model
 
 
 @contextmanager

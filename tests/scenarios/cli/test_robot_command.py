@@ -430,7 +430,7 @@ def test_a_trial_over_wires_is_run_and_stored(folder, capsys, monkeypatch):
     planned = Trial(model, Rotate(2, duration=1.5, pivot=(0.0, 0.03), back=True))
     save_calibration(folder / "calibration.toml", straight(), "FSC-1234", "2026-01-01")
     words = ("trial", "L2", "--grasp", "A2", "--seconds", "1.5", "--pivot", "0", "30", "--out", "out")
-    code = 1
+    code, out, late = 1, "", True
     with FakeRig(model) as rig:
         wires = rig.wires
         text = f'[sensor]\nport = "{wires.sensor_port}"\n[arm]\naddress = "127.0.0.1"\nport = {wires.arm_port}\n'
@@ -438,12 +438,15 @@ def test_a_trial_over_wires_is_run_and_stored(folder, capsys, monkeypatch):
         for _ in range(4):  # a busy machine ends a trial
             rig.place(starting_pose(planned), 2)
             answer(monkeypatch, "yes")
-            if (code := ended(*words)) != 1:
+            code = ended(*words)
+            out, said = capsys.readouterr()
+            late = code == 1 or "before anything moved: age of the" in said
+            if not late:
                 break
-    if code == 1:
-        pytest.skip("this machine is too busy for real time: trials ended as faults, rightly")
+    if late:
+        pytest.skip("this machine is too busy for real time: trials ended as faults or did not begin, rightly")
     assert code == 0
-    assert "drift_N" in capsys.readouterr().out
+    assert "drift_N" in out
     assert any(r.fits(planned) for r in ReplayRunner(folder / "out").recordings)
 
 

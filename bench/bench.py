@@ -85,7 +85,7 @@ def bare_loop(settings: SimulationSettings) -> Callable[[], None]:
     scene = build_scene(trial.object, OWN_WEIGHT, trial.grasp, settings, origin=motion.center)
     data = mujoco.MjData(scene.model)
     place(scene, data, motion)
-    servo = Servo(scene.model, data, motion, settings)
+    servo = Servo(data, motion, settings)
     controls = []
     for tick in range(len(motion.q)):
         servo.command(tick)

@@ -20,7 +20,8 @@ class Servo:
     move smoothly between ticks without a call per step.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
+    def __init__(self, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
+        model, tcp, sensor = data.model, data.site("gripper/tcp"), data.site("ft/wrench")
         self._data, self._motion, self._settings = data, motion, settings
         self._dt = 1 / settings.rate
         self._stiffness = model.actuator_gainprm[:7, 0].copy()
@@ -31,12 +32,11 @@ class Servo:
         self._shift = np.zeros(7)
         self._tare = np.zeros(6)
         self._jacobian = np.zeros((6, model.nv))
-        self._tcp, sensor = model.site("gripper/tcp").id, model.site("ft/wrench").id
         # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
         self._position, self._target, self._control = data.qpos[:7], data.act[:7], data.ctrl
-        self._force, self._torque = (data.sensordata[a : a + 3] for a in _addresses(model))
-        self._rotation, self._place = data.site_xmat[sensor].reshape(3, 3), data.site_xpos[sensor]
-        self._tip = data.site_xpos[self._tcp]
+        self._force, self._torque = data.sensor("ft/force").data, data.sensor("ft/torque").data
+        self._rotation, self._place = sensor.xmat.reshape(3, 3), sensor.xpos
+        self._tcp, self._tcp_at = tcp.id, tcp.xpos
         self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
         # what it gathered on the way down would shift the hand as it closes
         self._integrates = motion.phase >= Phase.GRASP
@@ -86,15 +86,10 @@ class Servo:
         """Joint offsets due to the unwanted load: vertical force, and tilt about the table [rad]."""
         wrench = self._wrench_world() - self._tare
         force = wrench[:3]
-        torque = wrench[3:] - np.cross(self._tip - self._place, force)
-        height = self._tip[2]
+        torque = wrench[3:] - np.cross(self._tcp_at - self._place, force)
+        height = self._tcp_at[2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
         if self._motion.closed:  # a push tilts what it pushes: only the force up or down is unwanted
             unwanted[3:] = 0.0
         mujoco.mj_jacSite(self._data.model, self._data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7].T @ unwanted / self._stiffness
-
-
-def _addresses(model: mujoco.MjModel) -> tuple[int, int]:
-    """Addresses of the wrist's force and torque in the sensor data."""
-    return int(model.sensor("ft/force").adr[0]), int(model.sensor("ft/torque").adr[0])

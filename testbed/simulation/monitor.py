@@ -53,14 +53,14 @@ class Monitor:
     """
 
     def __init__(self, scene: Scene, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
-        model, body = scene.model, scene.object_body
+        model, hand, body = scene.model, data.site("gripper/tcp"), data.body(scene.object_body)
         self._rate, self._data = settings.rate, data
-        tcp, first = model.site("gripper/tcp").id, model.sensor("arm/joint_1_torque").adr[0]
+        first = model.sensor("arm/joint_1_torque").adr[0]
         # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
         self._velocity, self._sensors = data.qvel[:7], data.sensordata
         self._torques, self._faults = data.sensordata[first : first + 7], data.warning.number[_FAULTS]
-        self._hand, self._hand_at = data.site_xmat[tcp].reshape(3, 3), data.site_xpos[tcp]
-        self._axes, self._object_at = data.xmat[body].reshape(3, 3), data.xpos[body]
+        self._hand, self._hand_at = hand.xmat.reshape(3, 3), hand.xpos
+        self._axes, self._object_at = body.xmat.reshape(3, 3), body.xpos
         self._limit = model.jnt_actfrcrange[:7, 1]
         self._held = (motion.phase >= Phase.SETTLE) & (motion.phase != Phase.RELEASE)
         self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
@@ -93,7 +93,7 @@ class Monitor:
         largest = torque.max()
         self._torque, self._speed = max(self._torque, largest), max(self._speed, fastest)
         self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0) if largest > 0.999 else _NONE
-        if largest > 0.999 and self._saturated.max() > SATURATION_TIME:
+        if self._saturated.max() > SATURATION_TIME:
             joint = int(self._saturated.argmax())
             return self._end(
                 "limit",

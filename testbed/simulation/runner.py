@@ -137,7 +137,7 @@ class SimulationRunner:
         rest, feet = model.pair_friction[scene.foot_pairs], _Feet(scene)
         if log is not None:
             log.start(scene, len(motion.q))
-        servo = Servo(model, data, motion, self.settings)
+        servo = Servo(data, motion, self.settings)
         monitor = Monitor(scene, data, motion, self.settings)
         # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)

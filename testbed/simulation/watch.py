@@ -68,7 +68,7 @@ class LiveTrial(_Scripted):
         model, data = self._scene.model, self.physics.data.ptr
         mujoco.mj_resetData(model, data)
         place(self._scene, data, self._motion)
-        self._servo = Servo(model, data, self._motion, self._settings)
+        self._servo = Servo(data, self._motion, self._settings)
         self._monitor = Monitor(self._scene, data, self._motion, self._settings)
         self._tick = 0
         return dm_env.restart({})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -51,8 +51,6 @@ class TrialWindows:
     """Robot time that the trials took, s."""
     off: Theta | None = None
     """Guess of the stated errors, each in its own unit; None before the first answer."""
-    kept: OnTable | None = field(default=None, repr=False)
-    """`on_table` of the same windows, where it has been made."""
     _equations: dict[MassDistribution, FrictionEquations] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -97,11 +95,10 @@ class TrialWindows:
         """s under given masses and frictions, N."""
         return friction_loads(self.shape, self.groups.pairs, at)
 
-    @cached_property
+    @property
     def on_table(self) -> OnTable:
         """The windows as measurements of the joint posterior, without errors of I_j, which come with it."""
-        errors = replace(self.errors, inertia_error=0.0)
-        return self.kept or OnTable.of(self.shape, self.windows, "own_weight", errors)
+        return _on_table(self.shape, self.windows, replace(self.errors, inertia_error=0.0))
 
     def friction_equations(self, guess: MassDistribution) -> FrictionEquations:
         """Q s = b of all windows in N and N m, whatever c and I_j may be; of one guess they are worked out once."""
@@ -128,7 +125,7 @@ class TrialWindows:
 
     def about_errors(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> TrialWindows:
         """The windows with rows about the most likely errors at friction loads s, N."""
-        return replace(self, off=self.friction_equations(guess).likely_errors(s), kept=self.on_table)
+        return replace(self, off=self.friction_equations(guess).likely_errors(s))
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
         """Q s = b, whitened."""
@@ -152,3 +149,9 @@ class TrialWindows:
         if not bool(at_one_speed.all()):
             found = max(found, equations.where(at_one_speed).whitened().misfit(s), key=lambda misfit: misfit.widening)
         return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
+
+
+@lru_cache(maxsize=1)
+def _on_table(shape: ObjectShape, windows: Observations, errors: ModelErrors) -> OnTable:
+    """Windows as measurements, built once for all rounds of an estimate."""
+    return OnTable.of(shape, windows, "own_weight", errors)

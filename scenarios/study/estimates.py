@@ -253,15 +253,15 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
     trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
     seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
     task = draws[0][0]
-    shape = _kept(_ByContent(key_of(object_request(task.truth)), task.truth)).shape
+    truth = _kept(_ByContent(key_of(object_request(task.truth)), task.truth))
     with nullcontext() if task.kind in METHODS else printing_into(store.log(task.method)):
         weights, moved = [weight_of(trials[0]) for trials in seen], [trials[1:] for trials in seen]
         seeds = [seed for _, seed, _ in draws]
-        answers = judged_answers(task.method, task.settings, shape, weights, moved, seeds)
+        answers = judged_answers(task.method, task.settings, truth.shape, weights, moved, seeds)
     for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
         labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
-        judged = judge(task.truth, answer, given, drawn[len(given) :], task.true_support)
-        store.put_estimate(key, {"seed": seed} | labels | judged, answer, task.truth.shape)
+        judged = judge(truth, answer, given, drawn[len(given) :], task.true_support)
+        store.put_estimate(key, {"seed": seed} | labels | judged, answer, truth.shape)
 
 
 @dataclass(frozen=True)

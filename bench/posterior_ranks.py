@@ -77,9 +77,9 @@ def ranks(problem: Problem, seed: int) -> np.ndarray:
     on_table, weighing = OnTable.of(obj.shape, windows, "own_weight", errors), Weighing.of(obj.shape, 1e-3, stated)
     unknowns = priors(obj.shape, stated, errors, obj.total_mass, on_table.trials)
     true = torch.tensor(rng.standard_normal(len(unknowns)))
-    predicted, covariances = on_table.linearized(unknowns, true).elsewhere(true)
-    read = (predicted + on_table.read.flatten()).clone()
-    for rows, covariance in covariances:
+    found = on_table.linearized(unknowns, true)
+    read = found.residual + on_table.read.flatten()
+    for rows, covariance in found.blocks:
         drawn = torch.tensor(rng.standard_normal((*rows.shape, 1)))
         read[rows] += (torch.linalg.cholesky(covariance) @ drawn)[..., 0]
     read = read.reshape(len(windows), -1)[:, :6]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.particles.lifts import LiftErrors, lift_covariance, upright_sizes
-from estimators.posterior.solver import Blocks, Linearized
+from estimators.posterior.solver import Linearized
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.air import Air
 from estimators.wrench.jacobian import Theta, zeros
@@ -72,7 +72,7 @@ class InAir:
         columns = unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
         blocks = [(torch.arange(len(columns))[None], torch.tensor(covariance)[None])]
 
-        def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
-            return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read, blocks
+        def elsewhere(z: Tensor) -> Tensor:
+            return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read
 
         return Linearized(rows.flatten() - self.read, columns, blocks, elsewhere)

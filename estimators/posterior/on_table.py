@@ -13,7 +13,7 @@ from torch.func import vmap
 from torch.nn.functional import pad
 
 from estimators.particles.windows import Observations
-from estimators.posterior.solver import Blocks, Linearized
+from estimators.posterior.solver import Linearized
 from estimators.posterior.table_errors import TableErrors, rows_of_planar
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
@@ -26,15 +26,59 @@ from testbed.worlds.setup_errors import PARAMETERS
 
 MOST_POINTS = 64
 """Points at which the pattern of contact under a group is taken."""
+ALIKE = 1e-9
+"""Part of their square distances from the middle in which points that are equally far from it differ."""
 PATTERNS = "contact_points", "foot_load"
 """Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
 """Errors of the setup that change these measurements."""
 SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "rigid_share"}
-SHARED |= {*PATTERNS, *MODEL_PARAMETERS}
+SHARED |= {*PATTERNS, "contact_radius", *MODEL_PARAMETERS}
 LEAST_DRAG, SMALLEST = 0.5, 1e-12
 """Least drag to which errors of the model are in proportion, over the largest force measured at constant speed; and the
 smallest drag, N. Trials that contradict each other may be fitted best without friction, where no error is left."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPatterns:
+    """Patterns of load over at most `MOST_POINTS` points of each group, orthonormal.
+
+    The first two are affine, and carry a group off the middle of its points; the others keep its load and moments.
+    """
+
+    part: Float[Tensor, "P C q"]
+    """Part of a group's load on each point: a column per pattern of its own group."""
+    count: Int[Tensor, "n_m"]
+    """Number of points of each group."""
+    radial: Float[Tensor, "n_m q"]
+    """Patterns that together change the mean square distance of the load from its middle, and keep its moments.
+
+    The change is the standard deviation of the square distance over even points.
+    """
+
+    @staticmethod
+    def of(model: ParticleModel, points: Float[Tensor, "P C 2"]) -> ContactPatterns:
+        """Patterns over the points of each particle, m."""
+        groups = len(model.parts)
+        every = [
+            torch.nonzero(((model.mass_group == g) & model.contact)[:, None].expand(points.shape[:2]))
+            for g in range(groups)
+        ]
+        taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
+        count = torch.tensor([len(at) for at in taken])
+        part = torch.zeros(*points.shape[:2], int(count.max()) - 1, dtype=torch.float64)
+        radial = torch.zeros(groups, part.shape[-1], dtype=torch.float64)
+        for group, (particle, point) in enumerate(at.unbind(1) for at in taken):
+            if len(point) <= 3:
+                continue
+            arm = points[particle, point] - points[particle, point].mean(0)
+            ways = torch.linalg.qr(torch.cat([torch.ones_like(arm[:, :1]), arm], 1), mode="complete")[0][:, 1:]
+            part[particle, point, : ways.shape[1]] = ways
+            square = arm.square().sum(1)
+            outward = ways[:, 2:].T @ square
+            if outward.norm() > ALIKE * square.norm():
+                radial[group, 2 : ways.shape[1]] = outward / outward.norm() / len(point) ** 0.5
+        return ContactPatterns(part, count, radial)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +89,7 @@ class OnTable:
     windows: Observations
     table: Table
     """Forward model, with the fields of support and sensor in its windows."""
-    patterns: Float[Tensor, "P C q"]
-    """Patterns of contact of each group as parts of its load: a column per pattern of its own group."""
+    patterns: ContactPatterns
     errors: ModelErrors
     alone: bool = False
     """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
@@ -75,7 +118,7 @@ class OnTable:
         # links turn within a window, a rigid object hardly does
         parts = table.windows if windows.articulated else _halved(table.windows)
         table = Table(model, table.points, parts | fields, table.pivot_error)
-        return OnTable(shape, windows, table, contact_patterns(model, table.points)[0], errors)
+        return OnTable(shape, windows, table, ContactPatterns.of(model, table.points), errors)
 
     @cached_property
     def springs(self) -> Springs:
@@ -144,9 +187,10 @@ class OnTable:
         theta, own = self._at(unknowns, z)
         errors = self._errors(theta)
 
-        def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
-            rows, carried = self._rows(*self._at(unknowns, z))
-            return (rows - self.read).flatten(), errors.blocks(carried)
+        def elsewhere(z: Tensor) -> Tensor:
+            theta, own = self._at(unknowns, z)
+            rows = vmap(lambda own, window: self.predict(theta | own, window), chunk_size=self.table.chunk)
+            return (rows(own, self._windows(theta)) - self.read).flatten()
 
         rows, carried = self._rows(theta, own)
         off, blocks = rows - self.read, errors.blocks(carried)
@@ -230,7 +274,9 @@ class OnTable:
             return at_points.expand(self.table.points.shape[:2])
         group = self.table.model.mass_group
         on_group = torch.zeros(len(self.table.model.parts), dtype=torch.float64).index_add(0, group, load)
-        return at_points + (on_group[group, None] * (self.patterns * pattern[group, None]).sum(-1))
+        if "contact_radius" in theta:
+            pattern = pattern + theta["contact_radius"] * self.patterns.radial
+        return at_points + (on_group[group, None] * (self.patterns.part * pattern[group, None]).sum(-1))
 
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
         """Lift and moment of the gripper on the feet, N and N m.
@@ -302,25 +348,3 @@ def _halved(windows: Window) -> Window:
         for name in ("rates", "poses", "ahead", "frames", "accelerations")
         if windows[name].shape[1] == parts
     }
-
-
-def contact_patterns(
-    model: ParticleModel, points: Float[Tensor, "P C 2"]
-) -> tuple[Float[Tensor, "P C q"], Int[Tensor, "n_m"]]:
-    """Patterns of load over at most `MOST_POINTS` points of each group, orthonormal, and the number of points.
-
-    The first two are affine, and carry a group off the middle of its points; the others keep its load and moments.
-    """
-    groups = len(model.parts)
-    every = [
-        torch.nonzero(((model.mass_group == g) & model.contact)[:, None].expand(points.shape[:2]))
-        for g in range(groups)
-    ]
-    taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
-    found = torch.zeros(*points.shape[:2], max(len(at) for at in taken) - 1, dtype=torch.float64)
-    for particle, point in (at.unbind(1) for at in taken if len(at) > 3):
-        place = points[particle, point]
-        affine = torch.cat([torch.ones_like(place[:, :1]), place - place.mean(0)], 1)
-        ways = torch.linalg.qr(affine, mode="complete")[0][:, 1:]
-        found[particle, point, : ways.shape[1]] = ways
-    return found, torch.tensor([len(at) for at in taken])

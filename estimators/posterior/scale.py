@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.posterior.solver import Blocks, Linearized
+from estimators.posterior.solver import Linearized
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.weighing import Weighing
 
@@ -33,8 +33,8 @@ class Scale:
         count = torch.tensor(self.weighing.count)
         blocks = [(first[None], torch.tensor([[[self.weighing.error**2]]], dtype=torch.float64))]
 
-        def elsewhere(z: Tensor) -> tuple[Tensor, Blocks]:
-            return (count @ unknowns.values(z)["mass"] - self.reading)[None], blocks
+        def elsewhere(z: Tensor) -> Tensor:
+            return (count @ unknowns.values(z)["mass"] - self.reading)[None]
 
         slopes = unknowns.columns({"mass": count[None, None]}, first, z)[0]
-        return Linearized(elsewhere(z)[0], slopes, blocks, elsewhere)
+        return Linearized(elsewhere(z), slopes, blocks, elsewhere)

@@ -34,8 +34,8 @@ class Linearized:
     """Derivatives of the predicted rows in z."""
     blocks: Blocks
     """Covariance of their errors."""
-    elsewhere: Callable[[Float[Tensor, "n"]], tuple[Float[Tensor, "R"], Blocks]]
-    """Residual and covariance at other z; what the errors of the model follow is as here."""
+    elsewhere: Callable[[Float[Tensor, "n"]], Float[Tensor, "R"]]
+    """Residual at other z."""
     taken: Callable[[], float] = float
     """Number of rows that go into unknowns of the measurement's own, as the load of a gripper."""
 
@@ -59,19 +59,26 @@ class Whitened:
 
     residual: Float[Tensor, "R"]
     slopes: Float[Tensor, "R n"]
+    roots: Blocks
+    """Cholesky roots of the covariance."""
 
     @staticmethod
     def of(found: Linearized) -> Whitened:
         """Rows over their errors."""
-        both = whitened(torch.cat([found.residual[:, None], found.slopes], 1), found.blocks)
-        return Whitened(both[:, 0], both[:, 1:])
+        roots = [(rows, torch.linalg.cholesky(covariance)) for rows, covariance in found.blocks]
+        both = _over(roots, torch.cat([found.residual[:, None], found.slopes], 1))
+        return Whitened(both[:, 0], both[:, 1:], roots)
+
+    def other(self, residual: Float[Tensor, "R"]) -> Float[Tensor, "R"]:
+        """Another residual over the same errors."""
+        return _over(self.roots, residual[:, None])[:, 0]
 
 
-def whitened(values: Float[Tensor, "R m"], blocks: Blocks) -> Float[Tensor, "R m"]:
-    """Values over the Cholesky root of their covariance."""
+def _over(roots: Blocks, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
+    """Values over the roots of their covariance."""
     found = torch.empty_like(values)
-    for rows, covariance in blocks:
-        found[rows] = torch.linalg.solve_triangular(torch.linalg.cholesky(covariance), values[rows], upper=False)
+    for rows, root in roots:
+        found[rows] = torch.linalg.solve_triangular(root, values[rows], upper=False)
     return found
 
 
@@ -91,6 +98,7 @@ def solve(
 ) -> Optimum:
     """Minimum of |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease it.
 
+    Errors that depend on z are those at the start of each step: iteratively reweighted least squares.
     Steps are straight in the masses, of which the weighing knows the sum, not in their logarithms. Masses and loads
     multiply, so a whole step overshoots: the minimum of a parabola along it is tried as well.
     """
@@ -104,21 +112,17 @@ def solve(
         now = float(residual @ residual + z @ z)
         inner, gradient = slopes.T @ slopes, slopes.T @ residual + z
 
-        def off(z: Tensor, found: list[Linearized] = found) -> Tensor:
-            moved = [each.elsewhere(z) for each in found]
-            return torch.cat([whitened(rows[:, None], blocks)[:, 0] for rows, blocks in moved])
-
         while True:
             root = torch.linalg.cholesky(inner + (1 + damping) * eye)
             step = -torch.cholesky_solve(gradient[:, None], root)[:, 0]
             downhill, at = -float(gradient @ step), unknowns.stepped(z, step)
-            moved = off(at)
+            moved = _residual(at, found, rows)
             least = float(moved @ moved + at @ at)
             bend = least - now + 2 * downhill
             part = min(max(downhill / bend, 0.1), 2.0) if bend > 0 else 1.0
             if abs(part - 1) > 0.1:
                 other = unknowns.stepped(z, part * step)
-                elsewhere = off(other)
+                elsewhere = _residual(other, found, rows)
                 if (less := float(elsewhere @ elsewhere + other @ other)) < least:
                     at, moved, least = other, elsewhere, less
             if least < now or downhill < TOLERANCE or damping > LARGEST_DAMPING:
@@ -128,3 +132,8 @@ def solve(
         converged = now - least < TOLERANCE
         z, residual = (at, moved) if least < now else (z, residual)
     return Optimum(z, residual, rounds, converged)
+
+
+def _residual(z: Float[Tensor, "n"], found: Sequence[Linearized], rows: Sequence[Whitened]) -> Float[Tensor, "R"]:
+    """Whitened residuals at other z."""
+    return torch.cat([white.other(each.elsewhere(z)) for each, white in zip(found, rows, strict=True)])

@@ -83,11 +83,12 @@ class MassPolytope:
             way = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
             masses = np.maximum(masses + self._along(masses, way, rng)[:, None] * way, 0.0)
             if step >= SETTLING:
-                total += masses.sum(axis=0)
-                square += masses.T @ masses
+                off = masses - start  # chains that cannot leave it have a variance of 0, not of rounding
+                total += off.sum(axis=0)
+                square += off.T @ off
                 taken += CHAINS
         mean = total / taken
-        return mean, square / taken - np.outer(mean, mean)
+        return start + mean, square / taken - np.outer(mean, mean)
 
     def _along(self, masses: np.ndarray, way: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Step of each chain along its way: a draw from the density on the line, within the bounds."""

@@ -19,12 +19,13 @@ from estimators.particles.windows import Observations
 from estimators.posterior import solver, table_errors
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.in_air import InAir
-from estimators.posterior.on_table import OnTable, contact_patterns
+from estimators.posterior.on_table import ContactPatterns, OnTable
 from estimators.posterior.posterior import Posterior
-from estimators.posterior.priors import priors
+from estimators.posterior.priors import RADIUS, priors
 from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Linearized, solve
 from estimators.posterior.unknowns import Block, Unknowns
+from estimators.testing.analytic_lab import drawn
 from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
@@ -39,6 +40,7 @@ from testbed.objects.faces import faces
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.lifted_world import lifted
+from tests.helpers.lab import lab_trials
 
 OBJECT = drawn_object(2)
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -111,7 +113,7 @@ def test_derivatives_are_those_of_the_rows(kind):
         slopes = found.slopes
         for _ in range(3):
             way = torch.tensor(rng.standard_normal(len(unknowns)))
-            ahead, behind = (found.elsewhere(z + step * way)[0] for step in (1e-5, -1e-5))
+            ahead, behind = (found.elsewhere(z + step * way) for step in (1e-5, -1e-5))
             assert_allclose(slopes @ way, (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-6 * float(slopes.abs().max()))
 
 
@@ -151,13 +153,41 @@ def test_an_answer_has_the_errors_of_the_setup_with_their_own():
 def test_patterns_of_contact_keep_load_and_moments_but_for_two():
     model = ParticleModel.of(OBJECT.shape)
     points = torch.stack([each.particles for each in model.spread], 1)
-    patterns, count = contact_patterns(model, points)
+    patterns = ContactPatterns.of(model, points)
     for group in range(OBJECT.shape.n_m):
         inside = model.mass_group == group
-        ways = patterns[inside].flatten(0, 1)[:, : int(count[group]) - 1]
+        ways = patterns.part[inside].flatten(0, 1)[:, : int(patterns.count[group]) - 1]
         assert_allclose(ways.T @ ways, np.eye(ways.shape[1]), atol=1e-12)
         assert_allclose(ways.sum(0), 0.0, atol=1e-12)
         assert_allclose(ways[:, 2:].T @ points[inside].flatten(0, 1), 0.0, atol=1e-12)
+
+
+def test_the_radial_pattern_adds_its_standard_deviation_to_the_mean_square_distance():
+    model = ParticleModel.of(OBJECT.shape)
+    points = torch.stack([each.particles for each in model.spread], 1)
+    patterns = ContactPatterns.of(model, points)
+    for group in range(OBJECT.shape.n_m):
+        inside = model.mass_group == group
+        at, part = points[inside].flatten(0, 1), (patterns.part[inside] @ patterns.radial[group]).flatten()
+        taken = patterns.part[inside].flatten(0, 1).abs().sum(1) > 0
+        square = (at - at[taken].mean(0)).square().sum(1)
+        assert_allclose(torch.stack([part.sum(), *(part @ at)]), 0.0, atol=1e-12)
+        assert_allclose(part @ square, square[taken].std(correction=0), rtol=1e-6)
+
+
+def test_a_radius_of_contact_that_blocks_share_is_recovered():
+    obj = drawn(3, 4242, "corners")
+    found = posterior_of(obj.shape, obj.total_mass, lab_trials(obj, 8))
+    assert found is not None
+    model = ParticleModel.of(obj.shape)
+    points = torch.stack([each.particles for each in model.spread], 1)[model.mass_group == 0].flatten(0, 1)
+    square = (points - points.mean(0)).square().sum(1)
+    corners = 2 * (0.9 * 3 / 2 * obj.shape.cell) ** 2
+    radius = (corners - square.mean()) / square.std()
+    value = found.unknowns.values(found.optimum.z)["contact_radius"]
+    where = found.unknowns.at["contact_radius"]
+    std = RADIUS * float(found.laplace[where, where].sqrt())
+    assert std < RADIUS / 2 and abs(value - radius) < 2 * std
 
 
 @pytest.mark.slow
@@ -316,7 +346,7 @@ class Rows:
     def linearized(self, unknowns: Unknowns, z: Tensor) -> Linearized:
         slopes = DESIGN[:, : len(unknowns)]
         blocks = [(torch.arange(ROWS)[None], self.variance * torch.eye(ROWS, dtype=torch.float64)[None])]
-        return Linearized(slopes @ z - self.y, slopes, blocks, lambda other: (slopes @ other - self.y, blocks))
+        return Linearized(slopes @ z - self.y, slopes, blocks, lambda other: slopes @ other - self.y)
 
 
 def posterior(unknown: int, variance: float) -> Posterior:

@@ -217,6 +217,8 @@ def batch_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) 
     """
     index_of = {action: i for i, action in enumerate(design.candidates)}
     first = greedy_plan(design, before, goal, log)
+    if not first.steps:
+        return first
     left = goal.budget_s if goal.budget_s is not None else first.seconds
     starts = [[index_of[action] for action in first.actions]]
     while len(starts) < STARTS:

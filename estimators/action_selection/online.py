@@ -15,6 +15,7 @@ from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.base import Estimate, Estimator
 from estimators.identifiability.information import shown_information
+from estimators.identifiability.trailing import GUESS
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
@@ -167,9 +168,10 @@ def _supports(guess: Guess, estimate: Estimate | None) -> tuple[str, ...]:
 
 def _hinges(shape: ObjectShape, guess: Guess, estimate: Estimate | None) -> tuple[float, ...] | None:
     """Friction of each hinge [N m], as estimated or guessed."""
-    if shape.chain is None or estimate is None or "hinge_0_Nm" not in estimate.diagnostics:
+    if shape.chain is None or estimate is None:
         return guess.hinge_friction
-    return tuple(max(estimate.diagnostics[f"hinge_{h}_Nm"], 0.0) for h in range(len(shape.chain.hinges)))
+    guessed = guess.hinge_friction or (GUESS,) * len(shape.chain.hinges)
+    return tuple(max(estimate.diagnostics.get(f"hinge_{h}_Nm", each), 0.0) for h, each in enumerate(guessed))
 
 
 def expansion_point(

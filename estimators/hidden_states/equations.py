@@ -69,7 +69,7 @@ class FrictionEquations:
     drag_rows: Float[Tensor, "K r P"]
     """Derivatives of the rows in the friction of each particle."""
     missing: Float[Tensor, "K r"]
-    """Measured rows less those of the guessed masses and frictions, likeliest errors taken away, N and N m."""
+    """Measured rows less those of the guessed masses and frictions, linear about the likeliest errors, N and N m."""
 
     @staticmethod
     def about(

@@ -14,7 +14,7 @@ from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia
 
-RANK_TOLERANCE = 1e-6
+RANK_TOLERANCE = 1e-3
 """Directions of the pivots' spread below this part of the largest count as a straight row."""
 
 
@@ -41,7 +41,7 @@ def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
     offsets = pivots.pivot - center
     _, spread, axes = np.linalg.svd(offsets, full_matrices=True)
     spread = np.append(spread, [0.0, 0.0])[:2]
-    seen = spread > RANK_TOLERANCE**0.5 * spread[0]
+    seen = spread > RANK_TOLERANCE * spread[0]
     along = axes[seen]
     design = np.column_stack([np.ones(len(offsets)), -2 * mass * offsets @ along.T])
     target = pivots.inertia - mass * np.sum(offsets**2, axis=1)

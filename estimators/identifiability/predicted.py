@@ -21,8 +21,9 @@ from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_z
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import SPAN, Camera, PoseStream
+from testbed.sensing.compensation import SIDEWAYS
 from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
@@ -250,7 +251,8 @@ def _tool_tilts(poses: Float[torch.Tensor, "K S 3"], begun: list[float]) -> Floa
     """`SteadyWindow.tool_tilt`, of a hand that had a yaw [rad] at the tare, or does not turn (NaN)."""
     now, then = (rotation_2d(-yaw) for yaw in (poses[..., 2].numpy(), np.array(begun)))
     force = np.zeros((len(poses), 2, 3))
-    force[..., :2] = np.nan_to_num(TOOL_MASS * GRAVITY * (now.mean(axis=1) - then)).transpose(0, 2, 1)
+    turned = np.nan_to_num(now.mean(axis=1) - then)
+    force[..., :2] = TOOL_MASS * SIDEWAYS[:, :2] @ turned.transpose(0, 2, 1)
     return torch.tensor(np.concatenate([force, np.cross([0.0, 0.0, REACH - TOOL_COM], force)], axis=2))
 
 

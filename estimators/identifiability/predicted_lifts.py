@@ -10,7 +10,8 @@ from estimators.identifiability.predicted import BEFORE, HEIGHT, RATE, TOOL_COM,
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.objects.model import GRAVITY
-from testbed.sensing.lift_windows import SIDEWAYS, LiftWindow
+from testbed.sensing.compensation import SIDEWAYS
+from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.presets import Sensing
 from testbed.sensing.windows import TRIM_END, trim_start
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors

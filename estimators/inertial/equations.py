@@ -15,7 +15,7 @@ from testbed.sensing.presets import Sensing
 from testbed.validation import freeze_arrays
 
 WALK_TERMS = 8
-"""Terms of the sensor's random walk; the rest of it has the variance of 1 / (pi^2 WALK_TERMS) of the whole."""
+"""Terms of the sensor's random walk; the rest of it has the variance of 2 / (pi^2 WALK_TERMS) of the whole."""
 LEAST_NOISE = np.repeat([1e-6, 1e-7], 3)
 """Least standard deviation of a wrench, N and N m: sensors without any noise too have weights."""
 SLOW = 1.0, 1.0

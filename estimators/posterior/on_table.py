@@ -17,17 +17,19 @@ from estimators.posterior.solver import Linearized
 from estimators.posterior.table_errors import TableErrors, rows_of_planar
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
-from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel, rotate
+from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
 from estimators.wrench.sensor import flawed, turned_wrench
 from estimators.wrench.support import GripperLoad, Springs, Support, contact_spread, own_weight
 from estimators.wrench.table import Table
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
 MOST_POINTS = 64
 """Points at which the pattern of contact under a group is taken."""
 ALIKE = 1e-9
 """Part of their square distances from the middle in which points that are equally far from it differ."""
+WRENCHES = "the wrenches"
+"""Name of the rows of a trial."""
 PATTERNS = "contact_points", "foot_load"
 """Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
@@ -168,7 +170,7 @@ class OnTable:
         """Every trial, in its order: windows of a trial follow each other."""
         trials, count = torch.unique_consecutive(self.windows.trial, return_counts=True)
         rows = 6 + self.windows.hinges
-        return [("the wrenches", rows * n, t) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
+        return [(WRENCHES, rows * n, t) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance; the gripper's load, in which the rows are linear, is in the last.
@@ -311,8 +313,8 @@ class OnTable:
         arm = theta["mass"] * (self.shape.height / 2 + theta.get("com_height", NONE))
         moment, tool = window["inertial"] @ arm, torch.zeros(6, dtype=torch.float64)
         if "table_tilt" in theta:
-            pulled = GRAVITY * self.table.model.particle_mass(arm).sum()
-            moment = moment + pulled * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
+            sideways = self.table.sideways(theta["table_tilt"], window)
+            moment = moment + self.table.model.particle_mass(arm).sum() * sideways
             tool = theta["table_tilt"] @ window["tool_tilt"]
         on_feet = carried[1:] + moment - height * planar[:2]
         wrench = torch.stack([planar[0], planar[1], carried[0], -on_feet[1], on_feet[0], planar[2]]) + tool

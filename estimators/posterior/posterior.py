@@ -17,6 +17,7 @@ from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import UNEXPLAINED, Misfit
+from estimators.posterior.on_table import WRENCHES
 from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
@@ -64,7 +65,7 @@ class Part:
     def sentence(self) -> str:
         """Part in words, with what to check."""
         times = f"{self.value**0.5:.2g} times as large as stated"
-        where = "" if self.trial is None else f" of trial {self.trial}"
+        where = "" if self.trial is None else f" of trial {self.trial + 1}"
         described = None if self.of_rows else CAUSES.get(self.name)
         if described is None:
             return f"least likely: {self.name}{where}, {times}"
@@ -174,11 +175,12 @@ class Posterior:
         A nuisance that is drawn anew in each trial is a part for each. One of a single number is held against the
         scatter that its estimate has by the prior: where the measurements show little of it, that is far below 1.
         """
-        found, begin = [], 0
+        found, begin, on_table = [], 0, []
         for measurement in self.measurements:
             for name, rows, trial in measurement.parts:
                 found.append(Part.of(name, self.optimum.residual[begin : begin + rows], trial, of_rows=True))
                 begin += rows
+            on_table += [trial for name, _, trial in measurement.parts if name == WRENCHES]
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:
                 continue
@@ -187,7 +189,7 @@ class Posterior:
                 shown = 1 - self.covariance.diagonal()[self.unknowns.at[name]]
                 z = z / shown.clamp(min=LEAST_SHOWN).sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
-            found += [Part.of(name, one, k if block.by_trial else None) for k, one in enumerate(each)]
+            found += [Part.of(name, one, on_table[k] if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)
 
     @property

@@ -125,9 +125,11 @@ def solve(
                 elsewhere = _residual(other, found, rows)
                 if (less := float(elsewhere @ elsewhere + other @ other)) < least:
                     at, moved, least = other, elsewhere, less
-            if least < now or downhill < TOLERANCE or damping > LARGEST_DAMPING:
+            if least < now or downhill < TOLERANCE:
                 damping = damping / 10 if damping > 1e-3 else 0.0
                 break
+            if damping > LARGEST_DAMPING:
+                return Optimum(z, residual, rounds, converged=False)
             damping = max(10 * damping, 0.1)
         converged = now - least < TOLERANCE
         z, residual = (at, moved) if least < now else (z, residual)

@@ -239,7 +239,7 @@ def flawed_trial(
         push = push + departure(setup, segment, drag, push, world, beside)
     com = np.einsum("nij,j->ni", out, to_com)
     com_acceleration = acceleration + alpha[:, None] * perpendicular(com) - spin[:, None] ** 2 * com
-    pull = obj.total_mass * GRAVITY * draw.tilt
+    pull = obj.total_mass * GRAVITY * draw.tilt  # a slope along x and y
     own = obj.total_mass * com_acceleration + pull
     force = push.sum(1) + own
     torque = cross_2d(world, push).sum(1) + obj.inertia_cm * alpha + cross_2d(com, own)

@@ -155,9 +155,10 @@ class Air:
         cos, sin, none, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
         turn = torch.stack([cos, -sin, none, sin, cos, none, none, none, one]).reshape(3, 3)
         place = theta.get("place", torch.zeros(3, dtype=torch.float64))
-        for name in ("grasp_offset", "tcp_offset"):
-            if name in theta:
-                place = place + pad(theta[name][:2], (0, 1))
+        if "grasp_offset" in theta:
+            place = place + pad(theta["grasp_offset"], (0, 1))
+        if "tcp_offset" in theta:
+            place = place + pad(window["from_sensor"][:2, :3] @ theta["tcp_offset"], (0, 1))
         return held.turned(turn).shifted(place)
 
 

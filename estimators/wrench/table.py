@@ -112,6 +112,10 @@ class Table:
         """`rows`, and their derivatives in each unknown."""
         return linearized(self.predict, theta, self.windows, self.chunk)
 
+    def sideways(self, tilt: Float[Tensor, "2"], window: Window) -> Float[Tensor, "2"]:
+        """Acceleration against what a tilt about the table's x and y, rad, adds to gravity, m/s^2, object axes."""
+        return GRAVITY * rotate(-window["poses"][:, 2], -turned(tilt)).mean(0)
+
     def drag_rows(self) -> Float[Tensor, "K 3+H P"]:
         """Derivatives in the friction of each particle."""
         slopes = self.undragged.linearized(zeros(friction=self.points.shape[:2]))[1]["friction"]
@@ -326,5 +330,5 @@ class Table:
         own = self._of_particle(given, self.model.particles)
         pull = own[..., :2] + own[..., 2:3] * turned(middle.place) - own[..., 3:] * middle.place
         if "table_tilt" in theta:
-            pull = pull + GRAVITY * rotate(-window["poses"][:, 2], theta["table_tilt"]).mean(0)
+            pull = pull + self.sideways(theta["table_tilt"], window)
         return theta["mass"][:, None] * pull, own[..., 2] * theta["mass"] * self.model.cell**2 / 6

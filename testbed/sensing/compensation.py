@@ -14,6 +14,9 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.series import runs
 from testbed.trajectory import Phase, Tool, Trajectory
 
+SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Change of what carries against gravity [m/s^2] with a tilt of all about the table's x and y, a rad; table axes."""
+
 
 def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
     """Trajectory with `wrench_on_object_world` from its raw sensor record, simulated or real.

@@ -10,14 +10,11 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
-from testbed.sensing.compensation import tare_samples, tool_pulls, tool_wrench, twist_rates
+from testbed.sensing.compensation import SIDEWAYS, tare_samples, tool_pulls, tool_wrench, twist_rates
 from testbed.sensing.windows import mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 from testbed.worlds.setup_errors import SetupErrors
-
-SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Change of what carries against gravity [m/s^2] with a tilt of all about the table's x and y, a rad; table axes."""
 
 
 @dataclass(frozen=True, eq=False)

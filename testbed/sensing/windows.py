@@ -19,7 +19,7 @@ from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
 from testbed.objects.model import GRAVITY, ObjectShape
-from testbed.sensing.compensation import tare_samples, tare_time, tool_pulls
+from testbed.sensing.compensation import SIDEWAYS, tare_samples, tare_time, tool_pulls
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 
@@ -75,8 +75,8 @@ class SteadyWindow:
     """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
     deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
     tool_tilt: Float[np.ndarray, "2 6"] = field(default_factory=lambda: np.zeros((2, 6)))
-    """Change of `wrench` by the tool's weight [N, N m a rad] as the table, the robot on it, tilts so that gravity comes
-    from along its x or y: the tare takes what shows in one direction of the hand, and the hand turns."""
+    """Change of `wrench` by the tool's weight [N, N m a rad] as the table, the robot on it, tilts about its x
+    or y: the tare takes what shows in one direction of the hand, and the hand turns."""
     turned: Float[np.ndarray, "S L 3"] = field(default_factory=lambda: np.zeros((PARTS, 0, 3)))
     """Yaw [rad], rate and slope of every link of an articulated object over each of the parts, by a camera, world."""
     turned_errors: Float[np.ndarray, "L 3 4"] = field(default_factory=lambda: np.zeros((0, 3, 4)))
@@ -165,11 +165,11 @@ def part_means(samples: Float[np.ndarray, "N ..."]) -> Float[np.ndarray, "S ..."
 
 
 def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]]) -> list[Float[np.ndarray, "2 6"]]:
-    """Change of the mean wrench of the tool since the tare, by gravity from along x and y, sensor axes."""
+    """Change of the mean wrench of the tool since the tare, by a tilt about x and y, sensor axes."""
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if tool is None or len(tare) == 0:
         return [np.zeros((2, 6))] * len(stretches)
-    pulls = tool_pulls(tool, rotation_matrix(trajectory.sensor_orientation), GRAVITY * np.eye(2, 3))
+    pulls = tool_pulls(tool, rotation_matrix(trajectory.sensor_orientation), SIDEWAYS)
     return [pulls[kept].mean(axis=0) - pulls[tare].mean(axis=0) for kept in stretches]
 
 

@@ -169,6 +169,13 @@ def test_errors_fall_with_every_step_and_time_adds_up():
     assert plan.seconds <= 70.0 and "budget is spent" in plan.why
 
 
+@pytest.mark.parametrize("plan", [greedy_plan, batch_plan])
+def test_a_target_that_is_met_before_any_trial_needs_no_plan(plan):
+    small, before = design("L2", 14)
+    found = plan(small, before, Goal(until=1.0), FeasibilityLog())
+    assert not found.steps and found.seconds == 0 and "target is met" in found.why
+
+
 @pytest.mark.slow
 def test_exchange_makes_a_plan_no_longer_and_no_worse():
     whole, before = design("I2", 600)

@@ -356,6 +356,20 @@ def posterior(unknown: int, variance: float) -> Posterior:
     return Posterior(unknowns, [rows], solve([rows], unknowns, unknowns.start()))
 
 
+def test_a_search_that_finds_no_descent_has_not_converged():
+    @dataclass(frozen=True, eq=False)
+    class Wrong(Rows):
+        """Derivatives of the wrong sign."""
+
+        def linearized(self, unknowns: Unknowns, z: Tensor) -> Linearized:
+            found = super().linearized(unknowns, z)
+            return replace(found, slopes=-found.slopes)
+
+    unknowns = Unknowns({"value": Block.normal(1e9 * torch.ones(1, dtype=torch.float64))})
+    ended = solve([Wrong(1e6 * DESIGN[:, 0], 1.0)], unknowns, unknowns.start())
+    assert not ended.converged and ended.rounds == 1
+
+
 @pytest.mark.parametrize("unknown", [1, 2])
 def test_the_evidence_of_a_linear_model_is_exact(unknown):
     found, slopes = posterior(unknown, 1.0), DESIGN[:, :unknown]

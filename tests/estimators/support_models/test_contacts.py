@@ -29,6 +29,7 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Trial, support_of
 from testbed.trial import RIGID as RIGID_SUPPORT
+from testbed.worlds.setup_errors import SetupErrors
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
 THREE = ((0.01, 0.005), (0.02, 0.055), (0.19, 0.03))
@@ -91,6 +92,13 @@ def test_a_center_of_mass_that_no_parts_can_have_is_told():
     answer = SupportAware().estimate(replace(shape, particles=shrunk), obj.total_mass, felt(obj), 0)
     assert answer.status == "unexplained" and answer.message.startswith("no masses of the parts have the M, c and I_cm")
     assert answer.diagnostics["polytope_miss"] > 3
+
+
+def test_parts_in_the_air_have_no_pattern_of_contact():
+    obj = tool(())
+    stated = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in felt(obj)]
+    answer = SupportAware().estimate(obj.shape, obj.total_mass, stated, 0)
+    assert answer.distribution is not None and np.isfinite(answer.distribution.mass).all()
 
 
 def test_algorithm_1_stands_back_from_one_body():

@@ -13,9 +13,9 @@ from estimators.testing.analytic_world import RATE, TOOL, drawn_object
 from estimators.wrench.air import Air, Matter, columns, nominal
 from estimators.wrench.setup import stated_sizes
 from testbed.actions.lift import Lift
-from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
-from testbed.sensing.compensation import compensate, tool_pulls, tool_wrench
-from testbed.sensing.lift_windows import SIDEWAYS, LiftWindow, lift_windows
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
+from testbed.sensing.compensation import SIDEWAYS, compensate, tool_pulls, tool_wrench
+from testbed.sensing.lift_windows import LiftWindow, lift_windows
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 from tests.fakes.lifted_world import lifted
@@ -79,6 +79,8 @@ TURNED = Rotation.from_rotvec(ANGLE).as_matrix()[None]
 LATE = np.maximum(np.arange(len(PLAIN.time_s)) - 2, 0)
 TILT, TILTED = 0.004, lifted(OBJECT, ACTION, tilt=0.004)
 ON_TOOL = tool_pulls(TOOL, rotation_matrix(PLAIN.sensor_orientation), SIDEWAYS)[:, 0]
+OF_TCP = np.array([4e-4, -3e-4])  # along the axes of the hand, whose z is down
+IN_OBJECT_AXES = (*(rotation_z(0.7)[:2, :2] @ [OF_TCP[0], -OF_TCP[1]]).tolist(), 0.0)
 FLAWS = {
     "gain": (GAIN, lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench * (1 + GAIN))),
     "crosstalk": (CROSS.ravel(), lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench @ (np.eye(6) + CROSS).T)),
@@ -96,6 +98,7 @@ FLAWS = {
         ),
     ),
     "grasp_offset": ([4e-4, -3e-4], lambda: missing(lifted(OBJECT, ACTION, offset=(4e-4, -3e-4, 0.0)))),
+    "tcp_offset": ([*OF_TCP, 0.0], lambda: missing(lifted(OBJECT, ACTION, offset=IN_OBJECT_AXES))),
     "table_tilt": ([TILT, 0.0], lambda: seen(TILTED, sensor_wrench=raw(TILTED) + TILT * ON_TOOL)),
 }
 

@@ -27,6 +27,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.faces import faces
 from testbed.objects.model import GRAVITY, ObjectModel
+from testbed.sensing.compensation import SIDEWAYS
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
@@ -114,6 +115,15 @@ def test_an_object_beside_its_place_in_the_hand_moves_as_derived(action):
     _, slopes = table.linearized(truth | zeros(grasp_offset=(2,)))
     expected = slopes["grasp_offset"].numpy() @ -offset
     assert_allclose(missing(APART, [record]), expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_a_tilt_about_an_axis_of_the_table_adds_gravity_as_in_the_air():
+    windows = windows_of(OBJECT, turns(OBJECT))
+    table, truth = at_truth(OBJECT, windows)
+    slopes = table.linearized(truth | zeros(table_tilt=(2,)))[1]["table_tilt"][:, :2]
+    yaw = windows.poses[..., 2].numpy()
+    in_object = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], -1).mean(1).reshape(-1, 2, 2)
+    assert_allclose(slopes, OBJECT.total_mass * in_object @ SIDEWAYS[:, :2].T, rtol=1e-9, atol=1e-9)
 
 
 def test_groups_beside_their_places_move_as_derived():

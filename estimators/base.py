@@ -31,7 +31,7 @@ EstimateStatus = Literal[
 * `not_converged`: the best masses found leave most of the wrenches: the search is too short.
 * `contradictory`: no masses explain them.
 * `no_data`: no trial is usable.
-* `assumption_violated`: the mass groups do not rest on their own weight.
+* `assumption_violated`: an assumption of the method, as own weight, does not hold for the object.
 """
 MOST_MASS = 1e3
 """Largest mass of a particle in an answer, kg: no object has it."""

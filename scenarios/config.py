@@ -190,7 +190,7 @@ class Meshes(Strict):
 
     files: str = "*/mesh.ply"
     notes: str = "Inertia.yaml"
-    mass_kg: Annotated[float, Field(gt=0, lt=100)] | None = None
+    mass_kg: Annotated[float, Field(gt=0, le=50)] | None = None
     friction: Annotated[float, Field(gt=0, le=2)] = 0.5
     source: str = "mesh files, each in a folder of its object's name"
     sha256: dict[str, str] = {}

@@ -30,7 +30,7 @@ def import_(
 ) -> None:
     """Import another robot's logs (CSV, Parquet, HDF5, MCAP, ROS 2 bags) as trials.
 
-    MAPPING is a TOML file that names the columns, their units and the actions; docs/formats.md has a template. All
+    MAPPING is a TOML file that names the columns, their units and the actions; docs/own_logs.md has an example. All
     errors are listed at once, and nothing is written if there are any. Importing a log again replaces its earlier
     trial. Exit code: 1 if a trial is unusable, or if --find cannot read a log.
 

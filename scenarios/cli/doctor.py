@@ -28,9 +28,9 @@ def doctor(
 
     DIR is a results folder with estimates, from `heft run` or from `heft estimate` on imported or robot trials. For
     each object, support and sensor, the joint posterior (method bayes) is fitted and the misfit printed: about 1 if the
-    masses explain the trials within the stated errors. Otherwise three causes are tested in order: one rigid body; a
-    single inconsistent trial; an error of the setup larger than stated, with its size and what to check. A figure is
-    written to DIR/figures.
+    masses explain the trials within the stated errors. Otherwise three causes are tested in order: another support (one
+    rigid body, or springs between blocks); a single inconsistent trial; an error of the setup larger than stated, with
+    its size and what to check. A figure is written to DIR/figures.
 
     Examples: heft doctor results/lab
               heft doctor results/blocks L2 --draw 1

@@ -54,7 +54,7 @@ def export(
             PlotJuggler, Rerun and ros2 bag.
         inertial: a single mass, center of mass and inertia for the object, or for each link, instead of blocks.
         scene: with mjcf, add a floor and a light, to open the file in MuJoCo's viewer.
-        draws: also write N posterior draws of masses and frictions as CSV, for an estimate by Algorithm 1.
+        draws: also write N posterior draws of masses and frictions as CSV, of an estimate by hidden_states or bayes.
         models: also write each draw as a numbered model in a folder, to train or test a controller on all of them.
         out: output file; default: DIR/exports/OBJECT_KEY with the extension of the format.
     """

@@ -65,9 +65,8 @@ PIXELS_PER_INCH = 80
 """Least scale of a figure with small print."""
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
 """Numbers of objects with a mass map where there are too many for one each."""
-DIFFERENCES_SHOW = "Absolute difference of mass, every method and object"
 MAPS_SHOW = "true mass, estimated mass and absolute difference, kg per group"
-"""Captions of the figures of all objects and of one object."""
+"""Caption of the figures of one object."""
 _REFERENCE = re.compile(r"(?:url\(#|^#)([^)]+)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 """Characters that XML cannot hold."""

@@ -180,7 +180,7 @@ class Posterior:
             for name, rows, trial in measurement.parts:
                 found.append(Part.of(name, self.optimum.residual[begin : begin + rows], trial, of_rows=True))
                 begin += rows
-            on_table += [trial for name, _, trial in measurement.parts if name == WRENCHES]
+                on_table += [trial] if name == WRENCHES else []
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:
                 continue

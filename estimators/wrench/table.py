@@ -17,7 +17,7 @@ from torch.func import vmap
 
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import ParticleModel, cross, rotate, turned
-from testbed.objects.model import GRAVITY
+from testbed.sensing.compensation import SIDEWAYS
 
 PERIOD, FINEST = 0.8, 8
 """Side of the square over which friction by place is a Fourier series, m, and the order of its finest waves along an
@@ -27,6 +27,7 @@ REFERENCE = 0.02
 BATCH = 100_000
 """Points of contact, over the parts of windows, that are worked on at once."""
 PAIR = torch.zeros(2, dtype=torch.float64)
+IN_PLANE = torch.tensor(SIDEWAYS[:, :2])
 
 
 def _waves() -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n"]]:
@@ -113,8 +114,8 @@ class Table:
         return linearized(self.predict, theta, self.windows, self.chunk)
 
     def sideways(self, tilt: Float[Tensor, "2"], window: Window) -> Float[Tensor, "2"]:
-        """Acceleration against what a tilt about the table's x and y, rad, adds to gravity, m/s^2, object axes."""
-        return GRAVITY * rotate(-window["poses"][:, 2], -turned(tilt)).mean(0)
+        """Change of the acceleration that opposes gravity by a tilt about the table's axes, rad; m/s^2, object axes."""
+        return rotate(-window["poses"][:, 2], tilt @ IN_PLANE).mean(0)
 
     def drag_rows(self) -> Float[Tensor, "K 3+H P"]:
         """Derivatives in the friction of each particle."""

@@ -15,7 +15,7 @@ from testbed.sensing.series import runs
 from testbed.trajectory import Phase, Tool, Trajectory
 
 SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Change of what carries against gravity [m/s^2] with a tilt of all about the table's x and y, a rad; table axes."""
+"""Change of the acceleration that opposes gravity with a tilt about the table's x and y axes [m/s^2 per rad]."""
 
 
 def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:

@@ -150,26 +150,29 @@ def test_an_answer_has_the_errors_of_the_setup_with_their_own():
     assert abs(numbers["table_tilt_1"]) < 3 * LAB.table_tilt and numbers["table_tilt_1_std"] <= LAB.table_tilt
 
 
-def test_patterns_of_contact_keep_load_and_moments_but_for_two():
+def patterns_of_contact() -> list[tuple[Tensor, Tensor, Tensor]]:
+    """Points of each group, m, its patterns over them, and the radial one as parts of these."""
     model = ParticleModel.of(OBJECT.shape)
     points = torch.stack([each.particles for each in model.spread], 1)
-    patterns = ContactPatterns.of(model, points)
-    for group in range(OBJECT.shape.n_m):
-        inside = model.mass_group == group
-        ways = patterns.part[inside].flatten(0, 1)[:, : int(patterns.count[group]) - 1]
+    found = ContactPatterns.of(model, points)
+    return [
+        (points[inside].flatten(0, 1), found.part[inside].flatten(0, 1)[:, : count - 1], radial[: count - 1])
+        for inside, count, radial in zip(
+            (model.mass_group == group for group in range(OBJECT.shape.n_m)), found.count, found.radial, strict=True
+        )
+    ]
+
+
+def test_patterns_of_contact_keep_load_and_moments_but_for_two():
+    for at, ways, _ in patterns_of_contact():
         assert_allclose(ways.T @ ways, np.eye(ways.shape[1]), atol=1e-12)
         assert_allclose(ways.sum(0), 0.0, atol=1e-12)
-        assert_allclose(ways[:, 2:].T @ points[inside].flatten(0, 1), 0.0, atol=1e-12)
+        assert_allclose(ways[:, 2:].T @ at, 0.0, atol=1e-12)
 
 
 def test_the_radial_pattern_adds_its_standard_deviation_to_the_mean_square_distance():
-    model = ParticleModel.of(OBJECT.shape)
-    points = torch.stack([each.particles for each in model.spread], 1)
-    patterns = ContactPatterns.of(model, points)
-    for group in range(OBJECT.shape.n_m):
-        inside = model.mass_group == group
-        at, part = points[inside].flatten(0, 1), (patterns.part[inside] @ patterns.radial[group]).flatten()
-        taken = patterns.part[inside].flatten(0, 1).abs().sum(1) > 0
+    for at, ways, radial in patterns_of_contact():
+        part, taken = ways @ radial, ways.abs().sum(1) > 0
         square = (at - at[taken].mean(0)).square().sum(1)
         assert_allclose(torch.stack([part.sum(), *(part @ at)]), 0.0, atol=1e-12)
         assert_allclose(part @ square, square[taken].std(correction=0), rtol=1e-6)

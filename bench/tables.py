@@ -243,11 +243,11 @@ def springs_table(results: Sequence[Any]) -> str:
 
 
 def articulated_table(results: Sequence[Any]) -> str:
-    """Objects in links, by camera: mean NAD, of `hidden_states` with the error of the hinges' friction."""
+    """Objects in links, by camera: mean NAD, and the error of the hinges' friction of methods that estimate it."""
     names = objects_of(results)
     lines = [["", *names, "90 % hold"]]
     for sensing in dict.fromkeys(row["sensing"] for row in results):
-        for method in ("hidden_states", "least_squares", *([] if _in_lab(results) else SEARCHES)):
+        for method in ("hidden_states", "bayes", "least_squares", *([] if _in_lab(results) else SEARCHES)):
             rows = select(results, sensing=sensing, method=method)
             cells = [nad_of(each := select(rows, object=name)) + hinges_of(each) for name in names]
             lines.append([f"{sensing}, `{method}`", *cells, held(rows)])

@@ -10,15 +10,13 @@ from testbed.packages import lazy_names
 if TYPE_CHECKING:
     from viz.figures.bars import estimate_bars
     from viz.figures.maps import estimate_maps, save_figure
-    from viz.figures.wrench import wrench_fit_figure
     from viz.recordings.page import Page, save, send
-    from viz.values import EstimateView, PlanView, TrialView, WrenchFit
+    from viz.values import EstimateView, TrialView, WrenchFit
 
 
 __all__ = [
     "EstimateView",
     "Page",
-    "PlanView",
     "TrialView",
     "WrenchFit",
     "estimate_bars",
@@ -26,7 +24,6 @@ __all__ = [
     "save",
     "save_figure",
     "send",
-    "wrench_fit_figure",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -11,10 +11,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
-sys.path.insert(0, str(Path(__file__).parent.parent))  # for the tests' reference solver
 
 import mujoco
 import numpy as np
@@ -26,7 +24,6 @@ from rich.table import Table
 from estimators.action_selection.rank import between_particles
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.lcp import LcpEngine, _Advance, polygon_sides, solve_step
 from estimators.baselines.random_search import RandomSearch
 from estimators.baselines.weighted_sampling import WeightedSampling
 from estimators.descent import OPTIMIZERS
@@ -35,16 +32,7 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form, descend_loads
 from estimators.particles.observe import observe
 from estimators.posterior.on_table import OnTable
-from estimators.wrench.model import (
-    ParticleModel,
-    cross,
-    direction,
-    friction_wrench,
-    inertia_of,
-    one_step,
-    rotate,
-    turned,
-)
+from estimators.wrench.model import ParticleModel, inertia_of, one_step
 from scenarios.cli.terminal import open_table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
@@ -59,7 +47,6 @@ from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, Trial
-from tests.helpers.lcp_oracle import Textbook, interior_point, rollout
 
 SETTINGS = SimulationSettings()
 TURNS = 12
@@ -159,77 +146,6 @@ def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
     return len(shape.particles), once
 
 
-def turning_steps(count: int, directions: int, h: float) -> tuple[list[torch.Tensor], torch.Tensor, torch.Tensor]:
-    """Steps of a rollout, the L of six blocks (54 feet) turned at 10 deg/s: mass, momentum, arms, bounds; yaw; feet."""
-    obj = load_object("L2")
-    model = ParticleModel.of(obj.shape)
-    particle = torch.tensor(obj.particle_mass)
-    inertia = inertia_of(model, particle)
-    friction = model.particle_friction(torch.tensor(obj.truth.friction)) * particle * GRAVITY
-    weights = torch.stack([inertia.mass, inertia.mass, inertia.about_com])
-    lever, grasp, rate = model.particles - inertia.com, torch.tensor(obj.shape.grasps[2].position), np.deg2rad(10)
-    yaw = h * rate * torch.arange(count, dtype=torch.float64)[:, None]
-    to_com, arms = rotate(yaw[:, 0], inertia.com - grasp), rotate(yaw, lever)
-    steady = torch.cat([rate * turned(to_com), torch.full((count, 1), rate, dtype=torch.float64)], -1)
-    drag = friction_wrench(friction, direction(steady[:, None, :2] + rate * turned(arms)), arms)
-    push = -torch.cat([drag[:, :2], (drag[:, 2] + cross(to_com, drag[:, :2]))[:, None]], -1)
-    start = torch.cat([to_com[0], yaw[0]])
-    engine = LcpEngine(directions, 1)
-    poses, velocities = rollout(engine, model, inertia, friction.expand(count, -1), start, steady[0], push, grasp, h)
-
-    feet = lever[model.contact]
-    bound = (h * friction[model.contact]).expand(count, -1)
-    steps = [torch.diag(weights).repeat(count, 1, 1), weights * velocities - h * drag,
-             turned(rotate(poses[:, 2:], feet)), bound.contiguous()]  # fmt: skip
-    return steps, poses[:, 2], feet
-
-
-def time_lcp(table: Table) -> None:
-    """Rows of the complementarity step, and of a dense interior point on the same steps."""
-    batch, directions = 64, 8
-    steps, yaw, feet = turning_steps(batch + 1, directions, 2.5e-3)
-    guesses = solve_step(*(x[:-1] for x in steps), directions).used  # pyright: ignore
-    ahead = np.broadcast_to(np.eye(2), (len(feet), 2, 2))
-    problems = [
-        Textbook.of(m, q, np.concatenate([ahead, arms[..., None]], -1), b, directions)
-        for m, q, arms, b in zip(*(x[1:].numpy() for x in steps), strict=True)
-    ]
-    for count, goal in ((1, ">= 50"), (batch, ">= 500")):
-        chosen = [x[1 : count + 1].contiguous() for x in steps]
-        functions = lcp_functions(chosen, yaw[1 : count + 1], feet, guesses[:count], problems[:count])
-        cold, warm, forward, whole, dense = side_by_side(functions)
-        found = solve_step(*chosen, directions).velocity.numpy()  # pyright: ignore
-        pairs = zip(problems, found, strict=False)
-        apart = max(np.abs(problem.velocity(interior_point(problem)) - v).max() for problem, v in pairs)
-        label, against = f"LCP step, 54 feet, batch {count}", f"dense {dense * 1e3:.0f} ms"
-        for name, took in ((f"no guess (apart {apart:.0e} m/s)", cold), ("guess from before", warm)):
-            table.add_row(f"{label}, {name}", f"{took * 1e3:.2f} ms", against, f"{dense / took:.0f}", goal)
-        back = f"{(whole - forward) * 1e3:.2f} ms"
-        table.add_row(f"{label}, forward, and backward", f"{forward * 1e3:.2f} ms", back, f"{whole / forward:.1f}", "")
-
-
-def lcp_functions(
-    steps: list[torch.Tensor], yaw: torch.Tensor, feet: torch.Tensor, guess: torch.Tensor, problems: list[Textbook]
-) -> list[Callable[[], object]]:
-    """Without a guess, with one, forward, forward and backward, and the dense interior point one by one."""
-    mass, momentum, arms, bound = steps
-    directions = 2 * guess.shape[1] // len(feet)
-    weights, planar = mass.diagonal(dim1=1, dim2=2), torch.zeros(len(mass), 2, dtype=torch.float64)
-    parts = (weights, momentum / weights, yaw, planar, torch.zeros_like(momentum), planar, bound)
-    leaves = [x.clone().requires_grad_() for x in parts]
-
-    def advance() -> torch.Tensor:
-        return _Advance.apply(*leaves, feet, polygon_sides(directions), guess)[0]  # pyright: ignore
-
-    return [
-        lambda: solve_step(mass, momentum, arms, bound, directions),
-        lambda: solve_step(mass, momentum, arms, bound, directions, guess),
-        advance,
-        lambda: advance().sum().backward(),
-        lambda: [interior_point(problem) for problem in problems],
-    ]
-
-
 def time_batches(table: Table, trajectories: list[Trajectory], weight: float) -> None:
     """Rows of the gradient methods: draws in one batch, and one at a time."""
     shape, seeds = load_object("L2").shape, range(DRAWS)
@@ -313,7 +229,6 @@ def main() -> None:
         each, growth = took / count * 1e9, took / first[1] / (count / first[0])
         label = f"loss and gradient, {count} particles x {TURNS} turns"
         table.add_row(label, f"{took * 1e3:.2f} ms", f"{each:.0f} ns/particle", f"{growth:.2f} x linear", "<= 1")
-    time_lcp(table)
     table.add_row("peak memory of a worker", f"{peak_memory_mb():.0f} MiB", "", "", "<= 1024 MiB")
     table.add_row(
         "peak memory of this process",

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 from jaxtyping import Float
+from matplotlib.transforms import Bbox
 
 from viz.recordings.page import Frames, Node
-from viz.recordings.planar import CHARACTER, LINE, MARGIN, Bounds, Canvas, log_lines, log_texts, log_upright, ticks
+from viz.recordings.planar import CHARACTER, LINE, MARGIN, Canvas, log_lines, log_texts, log_upright, ticks
 from viz.style import EDGE, TRUTH, rgb
 
 TRUTH_WIDTH, ALL_WIDTH = 0.86, 0.64
@@ -70,11 +71,13 @@ class BarScene:
         return 1.04 * max(min(ends, 1.8 * highest), highest, 1e-6)
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Bbox:
         """Bounds around the whole drawing."""
         pixel = self._pixel
         right = self.canvas.width - BESIDE
-        return Bounds(-BESIDE * pixel, -ROW * pixel, right * pixel, self.top + (ROW * len(self._rows) + MARGIN) * pixel)
+        return Bbox.from_extents(
+            -BESIDE * pixel, -ROW * pixel, right * pixel, self.top + (ROW * len(self._rows) + MARGIN) * pixel
+        )
 
     def log(self, node: Node) -> None:
         """Log it below `node`."""

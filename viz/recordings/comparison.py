@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from matplotlib.transforms import Bbox
 
 from testbed.errors import InvalidValueError
 from viz.recordings.bars import BarScene, BarSeries
 from viz.recordings.estimate import frames_of
 from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
 from viz.recordings.page import Frames, Node
-from viz.recordings.planar import TITLE, Bounds, Canvas, log_upright, planar_view
+from viz.recordings.planar import TITLE, Canvas, log_upright, planar_view
 from viz.style import TOP, Scale, difference_scale, mass_scale, series_color
 from viz.values import LEVEL, EstimateView
 
@@ -65,7 +66,7 @@ def comparison_blueprint(root: str, views: Sequence[EstimateView]) -> rrb.Contai
         nad = nad if view.answer is not None else ": no answer"
         maps.append(planar_view(f"{root}/methods/{index}", layout.box, f"{view.method}{nad}"))
     where = "mass left, difference right" if layout.beside[0] else "mass above, difference below"
-    whole = Bounds(0.0, -layout.cell.height, layout.cell.width, 0.0)
+    whole = Bbox.from_extents(0.0, -layout.cell.height, layout.cell.width, 0.0)
     maps.append(planar_view(f"{root}/scales", whole, where if known else "scale"))
     lines = f"; lines: {LEVEL} intervals" if any(view.half_width is not None for view in views) else ""
     bars = planar_view(f"{root}/bars", _bars(views).box, f"mass of each group, all methods{lines}")
@@ -82,7 +83,7 @@ class _Layout:
     """Size of a method's view."""
     beside: tuple[float, float]
     """Vector from a method's mass map to its map of differences [m]."""
-    box: Bounds
+    box: Bbox
     """Bounds around the scene of a method."""
     scales: tuple[Scale, Scale | None]
     """Scales of mass and difference; the second is None where the truth is not known."""
@@ -100,12 +101,12 @@ class _Layout:
         count = len(views) + 1 + known
         gap = 0.06 * (plain.width + plain.height)
         places = ((plain.width + gap, 0.0), (0.0, -plain.height - gap))
-        found: list[tuple[int, Canvas, tuple[float, float], Bounds]] = []
+        found: list[tuple[int, Canvas, tuple[float, float], Bbox]] = []
         for columns in range(1, min(count, MOST_COLUMNS) + 1):
             rows = int(np.ceil(count / columns))
             cell = Canvas(WINDOW.width / columns, (WINDOW.height - BARS) / rows - TITLE)
             for beside in places:
-                box = cell.framed(plain.joined(plain.moved(*beside)) if known else plain, 8, 8, 8)
+                box = cell.framed(Bbox.union([plain, plain.translated(*beside)]) if known else plain, 8, 8, 8)
                 found.append((columns, cell, beside, box))
         best = min(found, key=lambda each: each[1].pixel(each[3]))
         return _Layout(*best, scales=_scales(views))
@@ -122,13 +123,13 @@ def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
     return mass, difference_scale(views, tops[1]) if truths else None
 
 
-def _bar_boxes(cell: Canvas) -> list[Bounds]:
+def _bar_boxes(cell: Canvas) -> list[Bbox]:
     """Places of the two color bars [pixels]: one below the other, or side by side."""
     if cell.height < 2 * (BAR + BELOW) + 2 * GAP:
         length = (cell.width - 12 * GAP) / 2
-        return [Bounds(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
+        return [Bbox.from_extents(x, -GAP - BAR, x + length, -GAP) for x in (3 * GAP, length + 9 * GAP)]
     tops = [-GAP, -GAP - BAR - BELOW]
-    return [Bounds(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
+    return [Bbox.from_extents(4 * GAP, top - BAR, cell.width - 4 * GAP, top) for top in tops]
 
 
 def _bars(views: Sequence[EstimateView]) -> BarScene:

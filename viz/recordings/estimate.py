@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
+from matplotlib.transforms import Bbox
 
 from estimators.base import Trace
 from testbed.frames import perpendicular, rotation_2d, transform_point
@@ -24,7 +25,6 @@ from viz.recordings.planar import (
     LINE,
     MARGIN,
     TITLE,
-    Bounds,
     Canvas,
     log_lines,
     log_texts,
@@ -181,10 +181,10 @@ class _LoadScene:
     canvas: Canvas
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Bbox:
         """Bounds around the whole drawing."""
         box = Raster.of(self.view.shape).box
-        return self.canvas.framed(box.joined(bar_box(box)), 24, LINE + 3 * MARGIN, BELOW)
+        return self.canvas.framed(Bbox.union([box, bar_box(box)]), 24, LINE + 3 * MARGIN, BELOW)
 
     def log(self, node: Node, frames: Frames) -> None:
         """Log it below `node`."""
@@ -216,7 +216,7 @@ class _LoadScene:
             half, centers = np.column_stack([ring, ring]), shape.particles[true_load > 0]
             (node / "true_load").log(rr.Ellipses2D(half_sizes=half, centers=centers, **look))
         log_bar(node / "bar", scale, bar_box(raster.box), pixel)
-        place = np.array([[raster.box.middle[0], raster.box.top + (LINE / 2 + 1.5 * MARGIN) * pixel]])
+        place = np.array([[(raster.box.x0 + raster.box.x1) / 2, raster.box.y1 + (LINE / 2 + 1.5 * MARGIN) * pixel]])
         known = ", ring: truth" if truth is not None else ""
         log_texts(node / "key", place, [f"full cell: {largest:.2g} N{known}"], pixel)
 
@@ -241,11 +241,12 @@ class _TurnScene:
         return fitting[-1] if fitting else HORIZONS[0]
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Bbox:
         """Bounds around all places of the object."""
         outline = np.concatenate(Raster.of(self.shape).outlines())
         reach = 0.5 * LONGEST * float(np.linalg.norm(np.ptp(outline, axis=0)))
-        box = Bounds.around(transform_point(self._pose[:, None], outline[None])).grown(reach, reach, reach)
+        places = transform_point(self._pose[:, None], outline[None]).reshape(-1, 2)
+        box = Bbox([places.min(axis=0), places.max(axis=0)]).padded(reach)
         return self.canvas.framed(box, 0, LINE + 2 * MARGIN, 0)
 
     def log(self, node: Node) -> None:
@@ -268,7 +269,7 @@ class _TurnScene:
             (body / "pads").log(pads)
         box = self.box
         pixel = self.canvas.pixel(box)
-        at = np.array([[box.middle[0], box.top - (LINE / 2 + MARGIN) * pixel]])
+        at = np.array([[(box.x0 + box.x1) / 2, box.y1 - (LINE / 2 + MARGIN) * pixel]])
         key = f"arrows: the way of {self.horizon:g} s; blue particles, black object, pink pads"
         log_texts(node / "key", at, [key], pixel)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import rerun as rr
 from jaxtyping import Float, Int
+from matplotlib.transforms import Bbox
 
 from testbed.objects.chain import Chain
 from testbed.objects.model import ObjectShape
@@ -14,7 +15,6 @@ from viz.recordings.page import Frames, Node
 from viz.recordings.planar import (
     LINE,
     MARGIN,
-    Bounds,
     Canvas,
     have_room,
     hung,
@@ -67,10 +67,10 @@ class Raster:
         return Raster(group, float(left), float(bottom), shape.cell / fine)
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Bbox:
         """Bounds around the object [m], object frame."""
         height, width = self.group.shape
-        return Bounds(self.left, self.bottom, self.left + width * self.pixel, self.bottom + height * self.pixel)
+        return Bbox.from_bounds(self.left, self.bottom, width * self.pixel, height * self.pixel)
 
     def link(self, chain: Chain, link: int) -> Raster:
         """One link of an object, as one group."""
@@ -121,12 +121,12 @@ class MassMap:
     """True if cells have the group's name too, where there is room."""
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Bbox:
         """Bounds around the map and its color bar."""
         box = Raster.of(self.shape).box
-        return self.canvas.framed(box.joined(bar_box(box)), 26, 10, BELOW)
+        return self.canvas.framed(Bbox.union([box, bar_box(box)]), 26, 10, BELOW)
 
-    def log(self, node: Node, frames: Frames, box: Bounds, at: tuple[float, float] = (0.0, 0.0)) -> None:
+    def log(self, node: Node, frames: Frames, box: Bbox, at: tuple[float, float] = (0.0, 0.0)) -> None:
         """Log it below `node`, its object frame at `at` of a scene of which the view shows `box`."""
         log_upright(node, at)
         raster, pixel = Raster.of(self.shape), self.canvas.pixel(box)
@@ -135,7 +135,7 @@ class MassMap:
         log_lines(node / "outlines", raster.outlines())
         log_hinges(node / "hinges", self.shape)
         if self.values is None:
-            log_texts(node / "groups", raster.box.middle[None], ["no answer"], pixel)
+            log_texts(node / "groups", raster.box.get_points().mean(axis=0)[None], ["no answer"], pixel)
         elif self.shape.n_m <= MOST_NAMED:
             self._log_texts(node / "groups", frames, self.values, pixel)
 
@@ -175,17 +175,17 @@ def log_hinges(node: Node, shape: ObjectShape) -> None:
             (node / part).log(rr.Points2D(shape.chain.hinges, **look))
 
 
-def bar_box(box: Bounds) -> Bounds:
+def bar_box(box: Bbox) -> Bbox:
     """Place of the color bar below a map at `box`: as wide as the map, wider under a tall one."""
     width = max(box.width, 0.85 * box.height)
-    middle, top = (box.left + box.right) / 2, box.bottom - GAP * max(width, box.height)
-    return Bounds(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
+    middle, top = (box.x0 + box.x1) / 2, box.y0 - GAP * max(width, box.height)
+    return Bbox.from_extents(middle - width / 2, top - 0.05 * width, middle + width / 2, top)
 
 
-def log_bar(node: Node, scale: Scale, box: Bounds, pixel: float) -> None:
+def log_bar(node: Node, scale: Scale, box: Bbox, pixel: float) -> None:
     """Log a color bar at `box`, with ticks and title below it."""
     shades = mapped((np.arange(SHADES) + 0.5) / SHADES, 1.0, scale.colors)
-    place = rr.Transform3D(translation=[box.left, box.bottom, 0], scale=[box.width / SHADES, box.height, 1])
+    place = rr.Transform3D(translation=[box.x0, box.y0, 0], scale=[box.width / SHADES, box.height, 1])
     strip = rr.Image(bytes=shades.tobytes(), width=SHADES, height=1, color_model="RGB", datatype="U8")
     (node / "colors").log(place, strip)
     values, texts = ticks(scale.top)
@@ -194,10 +194,10 @@ def log_bar(node: Node, scale: Scale, box: Bounds, pixel: float) -> None:
         room = pixel * text_width(last) / box.width * scale.top
         kept = [i for i, value in enumerate(values) if value < scale.top - room]
         values, texts = np.append(values[kept], scale.top), [*(texts[i] for i in kept), last]
-    x = box.left + box.width * values / scale.top
-    marks = [np.array([[each, box.bottom], [each, box.bottom - MARGIN * pixel]]) for each in x]
-    log_lines(node / "outline", [box.corners, *marks])
-    below = box.bottom - (2 * MARGIN + LINE / 2) * pixel
+    x = box.x0 + box.width * values / scale.top
+    marks = [np.array([[each, box.y0], [each, box.y0 - MARGIN * pixel]]) for each in x]
+    log_lines(node / "outline", [box.corners()[[0, 2, 3, 1, 0]], *marks])
+    below = box.y0 - (2 * MARGIN + LINE / 2) * pixel
     log_texts(node / "ticks", np.column_stack([x, np.full(len(x), below)]), texts, pixel)
-    title = np.array([[box.middle[0], below - (LINE + 2 * MARGIN) * pixel]])
+    title = np.array([[(box.x0 + box.x1) / 2, below - (LINE + 2 * MARGIN) * pixel]])
     log_texts(node / "title", title, [scale.title], pixel)

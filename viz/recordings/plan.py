@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from matplotlib.transforms import Bbox
 
 from viz.recordings.mass_map import MassMap, Raster, log_hinges
 from viz.recordings.page import ITERATION, Frames, Node, Page, log_markdown
-from viz.recordings.planar import Bounds, Canvas, log_lines, log_texts, log_upright, planar_view
+from viz.recordings.planar import Canvas, log_lines, log_texts, log_upright, planar_view
 from viz.style import DIFFERENCE_COLORS, PLAN_ERROR, Scale, action_colors
 from viz.values import PlanView
 
@@ -70,6 +71,6 @@ def _log_actions(node: Node, plan: PlanView) -> None:
         log_texts(node / f"{number}/number", place[None], [str(number)], pixel)
 
 
-def _around(plan: PlanView) -> Bounds:
+def _around(plan: PlanView) -> Bbox:
     """Bounds around the object and all arrows."""
-    return CANVAS.framed(Bounds.around(plan.bounds), 10, 10, 10)
+    return CANVAS.framed(Bbox(plan.bounds), 10, 10, 10)

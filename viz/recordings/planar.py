@@ -14,6 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8, UInt32
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 
 from viz.recordings.page import Node
 from viz.style import BACKGROUND, BLACK, EDGE, rgb
@@ -29,74 +30,30 @@ TITLE = 30.0
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """A rectangle, y upwards."""
-
-    left: float
-    bottom: float
-    right: float
-    top: float
-
-    @staticmethod
-    def around(points: Float[np.ndarray, "... 2"]) -> Bounds:
-        """The least box around points."""
-        low, high = points.reshape(-1, 2).min(axis=0), points.reshape(-1, 2).max(axis=0)
-        return Bounds(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-
-    @property
-    def width(self) -> float:
-        """Length along x."""
-        return self.right - self.left
-
-    @property
-    def height(self) -> float:
-        """Length along y."""
-        return self.top - self.bottom
-
-    @property
-    def middle(self) -> Float[np.ndarray, "2"]:
-        """Its middle."""
-        return np.array([(self.left + self.right) / 2, (self.bottom + self.top) / 2])
-
-    def moved(self, x: float, y: float) -> Bounds:
-        """The box elsewhere."""
-        return Bounds(self.left + x, self.bottom + y, self.right + x, self.top + y)
-
-    def grown(self, sides: float, below: float, above: float) -> Bounds:
-        """The box with room around it."""
-        return Bounds(self.left - sides, self.bottom - below, self.right + sides, self.top + above)
-
-    def joined(self, other: Bounds) -> Bounds:
-        """The least box around both."""
-        return Bounds.around(np.concatenate([self.corners, other.corners]))
-
-    @property
-    def corners(self) -> Float[np.ndarray, "5 2"]:
-        """A closed line around it."""
-        x, y = [self.left, self.right, self.right, self.left], [self.bottom, self.bottom, self.top, self.top]
-        return np.column_stack([[*x, x[0]], [*y, y[0]]])
-
-
-@dataclass(frozen=True)
 class Canvas:
     """Size of a view [pixels], which decides which labels have room."""
 
     width: float
     height: float
 
-    def pixel(self, box: Bounds) -> float:
+    def pixel(self, box: Bbox) -> float:
         """Size of a pixel where the view shows all of `box`, in the box's unit."""
         return max(box.width / self.width, box.height / self.height)
 
-    def framed(self, box: Bounds, sides: float, above: float, below: float) -> Bounds:
+    def framed(self, box: Bbox, sides: float, above: float, below: float) -> Bbox:
         """The box with room for so many pixels around it."""
         pixel = max(box.width / (self.width - 2 * sides), box.height / (self.height - above - below))
-        return box.grown(sides * pixel, below * pixel, above * pixel)
+        return grown(box, sides * pixel, below * pixel, above * pixel)
 
 
-def planar_view(origin: str, box: Bounds, name: str) -> rrb.Spatial2DView:
+def grown(box: Bbox, sides: float, below: float, above: float) -> Bbox:
+    """The box with room around it."""
+    return Bbox.from_extents(box.x0 - sides, box.y0 - below, box.x1 + sides, box.y1 + above)
+
+
+def planar_view(origin: str, box: Bbox, name: str) -> rrb.Spatial2DView:
     """A view of the scene below `origin` that shows at least `box`."""
-    bounds = rrb.VisualBounds2D(x_range=(box.left, box.right), y_range=(-box.top, -box.bottom))
+    bounds = rrb.VisualBounds2D(x_range=(box.x0, box.x1), y_range=(-box.y1, -box.y0))
     return rrb.Spatial2DView(origin=origin, name=name, background=rgb(BACKGROUND), visual_bounds=bounds)
 
 

@@ -265,14 +265,13 @@ def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return groups
 
 
-def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Table:
+def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     """Median NAD over objects: methods down, the best first; groups of rows across, and the paper's own figures.
 
     A method that has no answer to some estimate comes after those that answer all.
 
     Args:
         groups: rows by the name of their support, sensing or point of a sweep.
-        most: number of methods, all if left out.
     """
     methods = list(dict.fromkeys(m for rows in groups.values() for m in methods_of(rows)))
     lines = {method: [_over_objects(rows, method) for rows in groups.values()] for method in methods}
@@ -282,7 +281,7 @@ def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Ta
         known = [float(cell.text) for cell in lines[method] if cell.text != "-"]
         return lost, float(np.mean(known)) if known else math.inf
 
-    best = sorted(methods, key=place)[:most]
+    best = sorted(methods, key=place)
     objects = {row["object"] for rows in groups.values() for row in rows}
     published = {m: [nad for name, nad in NAD.paper.get(m, {}).items() if name in objects] for m in best}
     columns = tuple(groups)
@@ -290,11 +289,10 @@ def overview(groups: Mapping[str, Sequence[Row]], most: int | None = None) -> Ta
         columns = (*columns, PAPER.strip())
         for method in best:
             lines[method].append(Entry(number(float(np.median(published[method]))) if published[method] else ""))
-    cut = f": best {len(best)} of {len(methods)} methods" if len(best) < len(methods) else ""
     some = any(cell.missing for m in best for cell in lines[m])
     note = "ok: number of answers with the status ok; do not use the others" if some else ""
     return Table(
-        f"Normalized absolute difference (NAD), median over objects, %{cut}",
+        "Normalized absolute difference (NAD), median over objects, %",
         columns,
         tuple(((m,), tuple(lines[m])) for m in best),
         note=note,

@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from rich import box
 from rich.console import Console
-from rich.table import Table
 from scipy.optimize import minimize
 from torch import Tensor
 
@@ -32,6 +31,7 @@ from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.analytic_world import accelerated, turns
 from estimators.wrench.model import ModelErrors
+from scenarios.cli.terminal import open_table
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
@@ -89,9 +89,7 @@ def over_seeds(name: str, method: Baseline) -> str:
 
 def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table on the screen."""
-    table = Table(*columns, title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    for column in table.columns[1:]:
-        column.justify = "right"
+    table = open_table(*columns, left=columns[:1], title=title, box=box.SIMPLE_HEAD, title_justify="left")
     for row in rows:
         table.add_row(*row)
     Console(width=110).print(table)

@@ -73,7 +73,6 @@ class Found:
     size: float
     named: str
     """Cause that is named; empty if none is."""
-    verdict: str
 
 
 def diagnosed(job: tuple[str, int], seed: int) -> Found:
@@ -91,13 +90,12 @@ def diagnosed(job: tuple[str, int], seed: int) -> Found:
 
 def judged(fault: str, found: Diagnosis) -> Found:
     """A diagnosis held against the fault."""
-    verdict = found.verdict
     if not found.causes:
-        return Found(fault, "", np.nan, np.inf, np.nan, "", verdict)
+        return Found(fault, "", np.nan, np.inf, np.nan, "")
     first, *_ = found.causes
     own = next((cause for cause in found.causes if cause.name == fault), first)
     named = found.named[0].name if found.named else ""
-    return Found(fault, first.name, own.odds, first.odds - own.odds, own.size, named, verdict)
+    return Found(fault, first.name, own.odds, first.odds - own.odds, own.size, named)
 
 
 def main() -> None:
@@ -106,7 +104,6 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--verdicts", action="store_true", help="print each verdict")
     args = parser.parse_args()
     jobs = [(fault, index) for fault in (*FAULTS, NONE) for index in range(args.objects)]
     with get_context("spawn").Pool(args.workers, torch.set_num_threads, (1,)) as pool:
@@ -135,9 +132,6 @@ def main() -> None:
             console.print(f"{fault}: " + ", ".join(f"{name} {count}" for name, count in others.most_common()))
     wrong = Counter(row.named for row in rows if row.fault == NONE and row.named)
     console.print(f"{NONE}: {dict(wrong) or 'none named'} of {args.objects}")
-    if args.verdicts:
-        for row in rows:
-            console.print(f"{row.fault}: {row.verdict}")
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from scenarios.cli.terminal import open_table
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 from tests.fakes.faults import (  # pyright: ignore[reportMissingImports]
@@ -57,10 +58,8 @@ GOES_ON = "went on"
 
 def phases(runs: int) -> int:
     """Faults by phase; returns the number of those that passed their bound or are not in the record."""
-    table, bad = (
-        _table("fault", "stop after, ms", "slowest in", "way, mm", "furthest in", "ended", "the record says"),
-        0,
-    )
+    columns = ("fault", "stop after, ms", "slowest in", "way, mm", "furthest in", "ended", "the record says")
+    table, bad = _table(*columns), 0
     for fault in LIVE:
         found = {phase: [struck_by(fault, seed, phase) for seed in range(runs)] for phase in fault.phases}
         stop = {phase: max(outcome.to_stop for outcome in outcomes) for phase, outcomes in found.items()}
@@ -143,10 +142,7 @@ def camera(runs: int) -> int:
 
 
 def _table(*columns: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(column, justify="right" if ", m" in column else "left")
-    return table
+    return open_table(*columns, left=[name for name in columns if ", m" not in name], box=box.SIMPLE_HEAD)
 
 
 def _ends(outcomes: list[Outcome]) -> str:

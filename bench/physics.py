@@ -1,4 +1,4 @@
-"""Checks of the simulation: python bench/physics.py [sensor|coulomb|pushes|links|swing|tools|levers|resolution]."""
+"""Checks of the simulation: python bench/physics.py [sensor|coulomb|pushes|links|tools|levers|resolution]."""
 
 from __future__ import annotations
 
@@ -43,12 +43,7 @@ from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import weight_of
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.runner import SimulationRunner
-from testbed.simulation.settings import (
-    ContactSettings,
-    GripSettings,
-    ServoSettings,
-    SimulationSettings,
-)
+from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 
@@ -71,24 +66,10 @@ LEVERS = {
 }
 
 
-SWINGING = (
-    ("L2", Rotate(3, speed=-0.1074, duration=4.0, pivot=(0.025, -0.0779))),
-    ("L1", Rotate(3, speed=-0.159, duration=4.0, pivot=(-0.0147, -0.0497))),
-    ("I1", Rotate(1, speed=-0.137, duration=4.0, pivot=(0.0094, 0.0058))),
-    ("F2", Rotate(2, duration=4.0, pivot=(0.042, 0.042))),
-)
-"""Turns in which stiff pads let what is held swing."""
-PADS = (1.0, 1.5, 2.0, 3.0)
-
-
-def coulomb_error(
-    name: str, support: Support, action: Rotate | Slide, grip: GripSettings | None = None
-) -> tuple[float, float, float]:
+def coulomb_error(name: str, support: Support, action: Rotate | Slide) -> tuple[float, float, float]:
     """Simulated drag against Coulomb's, % of the whole drag and of its torque; feet that the model has lifted, %."""
-    model, settings = load_object(name), SimulationSettings(grip=grip or GripSettings())
-    force, torque, lifted = off_coulomb(model, SimulationRunner(settings).run(Trial(model, action, support)), support)[
-        0
-    ]
+    model = load_object(name)
+    force, torque, lifted = off_coulomb(model, SimulationRunner().run(Trial(model, action, support)), support)[0]
     return force, torque, lifted
 
 
@@ -288,16 +269,6 @@ def tools(submit: Callable[..., Future[Any]], console: Console) -> None:
     console.print(table)
 
 
-def swing(submit: Callable[..., Future[Any]], console: Console) -> None:
-    """Swing of too springy a pad, which a record does not show by itself."""
-    table = _table("Drag against Coulomb's law by damping of the pads: force, torque, %", "turn", *map(str, PADS))
-    for name, turn in SWINGING:
-        found = [submit(coulomb_error, name, OWN_WEIGHT, turn, GripSettings(pad_damping=damping)) for damping in PADS]
-        cells = ("{:.2f} {:.2f}".format(*future.result()[:2]) for future in found)
-        table.add_row(f"{name}, grasp {turn.grasp}, about {turn.pivot}", *cells)
-    console.print(table)
-
-
 def levers(submit: Callable[..., Future[Any]], console: Console) -> None:
     """Effect of each lever against the gripper's load."""
     columns = ("lever", "support", "fz settled, N", "fz turning, N", "moment on feet, N m", "torque spread, %")
@@ -333,7 +304,7 @@ def resolution(console: Console) -> None:
 
 
 def _table(title: str, *columns: str) -> Table:
-    words = ("object", "support", "lever", "change", "turn")
+    words = ("object", "support", "lever", "change")
     return open_table(*columns, left=words, title=title, title_justify="left", box=box.SIMPLE_HEAD)
 
 
@@ -341,7 +312,7 @@ def main() -> None:
     """Print the tables asked for."""
     what = sys.argv[1] if len(sys.argv) > 1 else "all"
     console = Console(width=120)
-    every = (sensor, coulomb, pushes, links, swing, tools, levers)
+    every = (sensor, coulomb, pushes, links, tools, levers)
     parts = {part.__name__: part for part in every}
     context = get_context("spawn")
     with ProcessPoolExecutor(default_workers(), context, torch.set_num_threads, (1,)) as pool:

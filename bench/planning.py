@@ -42,7 +42,7 @@ from scenarios.policies import Policy
 from scenarios.runners import FeasibilityCheck, feasible_grasps, redacted
 from testbed.actions.base import Action
 from testbed.errors import HeftError, InfeasibleTrialError
-from testbed.files import write_whole
+from testbed.files import write_text
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.objects.random import Family
@@ -110,12 +110,8 @@ def policies(options: argparse.Namespace) -> None:
             rows += task.result()
             print(f"{count} of {len(asked)} objects, {time.perf_counter() - begin:.0f} s", flush=True)
             if options.rows is not None:
-                _keep(rows, options.rows)
+                write_text(options.rows, json.dumps(rows))
     _told(rows)
-
-
-def _keep(rows: list[dict[str, Any]], path: Path) -> None:
-    write_whole(path, lambda part: part.write_text(json.dumps(rows)))
 
 
 def _runs(model: ObjectModel, sensing_name: str, draws: int, kinds: Sequence[str]) -> list[dict[str, Any]]:

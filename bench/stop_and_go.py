@@ -9,7 +9,6 @@ intervals that hold the truth (M, c, the inertia's diagonal), and answers that a
 from __future__ import annotations
 
 import argparse
-import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from estimators.inertial import (
     least_squares_inertia,
 )
 from scenarios.cli.terminal import open_table
+from scenarios.study.meshes import stated_inertia
 from testbed.errors import HeftError
 from testbed.objects.conversion import convert_mesh
 from testbed.objects.model import GRAVITY
@@ -66,7 +66,7 @@ def main() -> None:
         draws = 1 if sensing.name == "ideal" else args.draws
         for method in METHODS:
             found = [(tool, each) for tool in tools for each in answers(tool, method, sensing, draws)]
-            rows = [judged(tool, each) for tool, each in found if each is not None]
+            rows = [(*judged(tool.truth, each), each.parameters.consistent) for tool, each in found if each is not None]
             middle = np.median([row[:3] for row in rows], axis=0)
             hold, physical = np.mean([row[3] for row in rows]), np.mean([row[4] for row in rows])
             none = len(found) - len(rows)
@@ -92,9 +92,9 @@ def answers(tool: Tool, method: str, sensing: Sensing, draws: int) -> Iterator[I
             yield None
 
 
-def judged(tool: Tool, found: InertialEstimate) -> tuple[float, float, float, float, bool]:
-    """Errors of M [%], c [mm] and inertia [%], the part of the intervals that hold, and if a body can be so."""
-    truth, best = tool.truth, found.parameters
+def judged(truth: InertialParameters, found: InertialEstimate) -> tuple[float, float, float, float]:
+    """Errors of M [%], c [mm] and inertia [%], and the part of the intervals of M, c and its diagonal that hold."""
+    best = found.parameters
 
     def numbers(of: InertialParameters) -> np.ndarray:
         return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
@@ -106,7 +106,6 @@ def judged(tool: Tool, found: InertialEstimate) -> tuple[float, float, float, fl
         1e3 * float(np.linalg.norm(best.center_of_mass - truth.center_of_mass)),
         100 * float(off),
         float(np.mean((low - 1e-12 <= numbers(truth)) & (numbers(truth) <= high + 1e-12))),
-        best.consistent,
     )
 
 
@@ -145,7 +144,8 @@ def read_tool(folder: Path) -> Tool:
     both = np.hstack([by_sensor(wrench[:, :3]), by_sensor(wrench[:, 3:])])
     motion = HeldMotion(time, pull, by_sensor(velocity[:, 3:]), by_sensor(acceleration[:, 3:]), both)
     rotation, origin = inside[:3, :3].T, -inside[:3, :3].T @ inside[:3, 3]
-    of_mesh = published_truth(folder / "Inertia.yaml")
+    notes = folder / "Inertia.yaml"
+    of_mesh = stated_inertia(notes.read_text(encoding="utf-8"), notes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         made = convert_mesh(folder / "mesh.ply")
@@ -161,19 +161,6 @@ def read_tool(folder: Path) -> Tool:
         high.append(corners.max(axis=0))
     within = Ellipsoid.around(np.min(low, axis=0), np.max(high, axis=0))
     return Tool(folder.name, motion, of_mesh.moved(rotation, origin), within, tuple(parts))
-
-
-def published_truth(path: Path) -> InertialParameters:
-    """The parameters that `Inertia.yaml` states, in the axes of the mesh."""
-    text = path.read_text(encoding="utf-8")
-
-    def numbers(name: str) -> np.ndarray:
-        found = re.search(rf"{name}:(.*?)(?=\n\s*[A-Z]|\Z)", text, re.S)
-        assert found is not None, f"{path}: no {name}"
-        return np.array([float(each) for each in re.findall(r"[-+.\deE]+", found[1])])
-
-    inertia = numbers("INERTIA_WRT_COM").reshape(3, 3)
-    return InertialParameters(float(numbers(r"\bMASS")[0]), numbers("COM_WRT_MESH"), inertia)
 
 
 if __name__ == "__main__":

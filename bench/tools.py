@@ -19,13 +19,13 @@ import numpy as np
 import trimesh
 from rich import box
 from rich.console import Console
+from stop_and_go import judged
 
 from estimators.action_selection.pushes import RandomPushes
 from estimators.base import ActionPolicy, Estimate
 from estimators.evaluation.statistics import NINETY
 from estimators.inertial import (
     InertialEstimate,
-    InertialParameters,
     consistent_inertia,
     ellipsoid_of,
     homogeneous_parts,
@@ -161,26 +161,13 @@ def judged_masses(trial: Felt, answer: Estimate) -> Judged | None:
 
 def judged_body(trial: Felt, found: InertialEstimate) -> Judged:
     """Errors of an answer in space."""
-    model, truth, best = trial.model, true_body(trial.model), found.parameters
-    nad, hold = np.nan, np.nan
+    model, nad = trial.model, np.nan
+    mass, center, inertia, hold = judged(true_body(model), found)
     if found.part_mass is not None and found.part_draws is not None:
         low, high = np.quantile(found.part_draws, [0.05, 0.95], axis=0)
         nad = 100 * float(np.abs(found.part_mass - model.group_mass).sum()) / model.total_mass
         hold = float(np.mean((low - 1e-9 <= model.group_mass) & (model.group_mass <= high + 1e-9)))
-    else:
-        low, high = found.interval(_numbers)
-        hold = float(np.mean((low - 1e-12 <= _numbers(truth)) & (_numbers(truth) <= high + 1e-12)))
-    return (
-        100 * abs(best.mass / truth.mass - 1),
-        1e3 * float(np.linalg.norm(best.center_of_mass - truth.center_of_mass)),
-        100 * float(np.linalg.norm(best.inertia - truth.inertia) / np.linalg.norm(truth.inertia)),
-        nad,
-        hold,
-    )
-
-
-def _numbers(of: InertialParameters) -> np.ndarray:
-    return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
+    return mass, center, inertia, nad, hold
 
 
 def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:

@@ -35,8 +35,6 @@ class Task:
 
     name: str
     """Name of its function."""
-    wall: float
-    """Wall time [s]."""
     cpu: float
     """Core-seconds [s]."""
     end: float
@@ -50,15 +48,9 @@ class Metered:
         self._executor = executor
         self.tasks: list[Task] = []
 
-    @property
-    def capacity(self) -> int:
+    def __getattr__(self, name: str) -> Any:
         """Same property of the executor."""
-        return self._executor.capacity
-
-    @property
-    def running(self) -> int:
-        """Same property of the executor."""
-        return self._executor.running
+        return getattr(self._executor, name)
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Same method of the executor."""
@@ -66,15 +58,15 @@ class Metered:
 
     def wait(self) -> tuple[Any, Any]:
         """Same method of the executor."""
-        (label, name), (value, wall, cpu) = self._executor.wait()
-        self.tasks.append(Task(name, wall, cpu, time.perf_counter()))
+        (label, name), (value, cpu) = self._executor.wait()
+        self.tasks.append(Task(name, cpu, time.perf_counter()))
         return label, value
 
 
-def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float, float]:
-    """Task: another task's value, wall time and core-seconds."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    return function(*arguments), time.perf_counter() - wall, time.process_time() - cpu
+def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+    """Task: another task's value and core-seconds."""
+    cpu = time.process_time()
+    return function(*arguments), time.process_time() - cpu
 
 
 def core_seconds(who: int) -> float:

@@ -207,8 +207,17 @@ def _settings(scenario: Scenario, results: Sequence[Row]) -> list[tuple[str, Seq
 def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
     """Print every metric under every support and sensing, and the hidden states; of many objects, quantiles."""
     from estimators.evaluation.statistics import FEWEST, assumptions
-    from viz.report.claims import CLAIMS, claims_table
-    from viz.report.tables import COM, INERTIA, NAD, hidden_table, metric_table, metrics_of, quantile_table
+    from viz.report.tables import (
+        CLAIMS,
+        COM,
+        INERTIA,
+        NAD,
+        claims_table,
+        hidden_table,
+        metric_table,
+        metrics_of,
+        quantile_table,
+    )
     from viz.report.terminal import rich_table
 
     objects = list(dict.fromkeys(row["object"] for row in results))

@@ -35,12 +35,12 @@ from viz.figures.nad import nad_distribution, nad_sweep
 from viz.figures.trials import trials_figure
 from viz.report.answer_maps import answer_maps
 from viz.report.answers import Answer, answer_table
-from viz.report.claims import claims_table
 from viz.report.lists import failures, names, worst, worst_of
 from viz.report.tables import (
     MOST_OBJECTS,
     Table,
     by_setting,
+    claims_table,
     metric_table,
     metrics_of,
     over_objects,

@@ -11,8 +11,7 @@ from estimators.evaluation import paper
 from estimators.evaluation.statistics import Claims, draws_of, select, significantly_best, summarize
 from testbed.objects.files import load_object
 from viz.figures.maps import absolute_difference, save_figure
-from viz.report.claims import claims_table
-from viz.report.tables import METRICS, NAD, Table, metric_table
+from viz.report.tables import METRICS, NAD, Table, claims_table, metric_table
 from viz.report.terminal import rich_table
 
 NAMES = ("L2", "hammer")

@@ -15,7 +15,7 @@ import pyarrow.types as kinds
 
 from scenarios.benchmark.dataset import SAMPLES, Problem
 from scenarios.benchmark.problems import KINDS, PUBLISHED_SECRET, SENSING, SPLITS, WORLDS
-from testbed.files import write_whole
+from testbed.files import write_text
 
 NAME, VERSION = "heft-benchmark", "1.0.0"
 LICENSE = "https://www.apache.org/licenses/LICENSE-2.0"
@@ -109,9 +109,8 @@ def write_card(folder: Path, problems: Sequence[Problem], truth_sha256: str) -> 
         secret=PUBLISHED_SECRET,
         truth=truth_sha256,
     )
-    write_whole(folder / "README.md", lambda part: part.write_text(text, encoding="utf-8"))
-    content = json.dumps(croissant(folder), indent=1) + "\n"
-    write_whole(folder / "croissant.json", lambda part: part.write_text(content, encoding="utf-8"))
+    write_text(folder / "README.md", text)
+    write_text(folder / "croissant.json", json.dumps(croissant(folder), indent=1) + "\n")
 
 
 def croissant(folder: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from scenarios.benchmark.dataset import PREFIX, SAMPLES, write_rows
-from testbed.files import write_whole
+from testbed.files import write_text, write_whole
 from testbed.trajectory import SERIES
 
 FPS = 100
@@ -103,5 +103,4 @@ def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[
         "features": plain | series,
     }
     for name, content in (("info", info), ("stats", statistics(folder / SAMPLES))):
-        text = json.dumps(content, indent=1) + "\n"
-        write_whole(folder / f"meta/{name}.json", lambda part, text=text: part.write_text(text, encoding="utf-8"))
+        write_text(folder / f"meta/{name}.json", json.dumps(content, indent=1) + "\n")

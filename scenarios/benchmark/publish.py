@@ -30,7 +30,7 @@ from scenarios.benchmark.dataset import (
 from scenarios.benchmark.lerobot import TASKS, write_meta
 from scenarios.benchmark.problems import SPLITS, hidden
 from scenarios.results.files import write_json
-from testbed.files import write_whole
+from testbed.files import write_text, write_whole
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
 from testbed.sensing.windows import weight_of
@@ -111,7 +111,7 @@ def publish(folder: Path, entries: Sequence[Entry], truth_file: Path, secret: st
     write_rows(folder / "truth.parquet", [row for row in truths if row not in test], TRUTHS)
     salt = hashlib.sha256(f"{secret}/salt".encode()).hexdigest()  # masses alone could be found by trial
     text = json.dumps({"salt": salt, "problems": test}, indent=1) + "\n"
-    write_whole(truth_file, lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(truth_file, text)
     for entry in entries:
         for part in entry.file.mesh.parts if entry.file.mesh else ():
             write_whole(folder / "meshes" / Path(part.file).name, partial(shutil.copyfile, part.file))

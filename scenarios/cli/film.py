@@ -133,9 +133,7 @@ def list_trials(root: Path) -> Table:
     from scenarios.results.trials import keys_of
     from testbed.files import unless_damaged
 
-    table = Table()
-    for column in ("trial", "object", "support", "grasp", "action", "status"):
-        table.add_column(column)
+    table = Table("trial", "object", "support", "grasp", "action", "status")
     keys = keys_of(root)
     read = [unless_damaged(lambda key=key: read_json(root / "trials" / key / "trial.json"), "left out") for key in keys]
     lines = [_line_of(key, content) for key, content in zip(keys, read, strict=True) if content is not None]

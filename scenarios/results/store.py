@@ -213,13 +213,9 @@ class Store:
         write_json(folder / "result.json", row)
         (folder / "error.txt").unlink(missing_ok=True)
 
-    def put_trial_error(self, key: str, text: str) -> None:
-        """Write why a trial failed; it stays undone, and the next run tries again."""
-        write_text(inside(self.root, "trials", key, "error.txt"), text)
-
-    def put_error(self, key: str, text: str) -> None:
-        """Write why an estimate failed; it stays undone, and the next run tries again."""
-        write_text(inside(self.root, "estimates", key, "error.txt"), text)
+    def put_error(self, stage: str, key: str, text: str) -> None:
+        """Write why one of the "trials" or "estimates" failed; it stays undone, and the next run tries again."""
+        write_text(inside(self.root, stage, key, "error.txt"), text)
 
     def remove_leftovers(self) -> None:
         """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""

@@ -11,7 +11,7 @@ from estimators.action_selection.cost import spent_seconds
 from estimators.action_selection.design import Guess
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
-from scenarios.results.store import Store, key_of, trial_request
+from scenarios.results.store import Store
 from scenarios.results.trials import sensed_trials
 from scenarios.runners import FeasibilityCheck, redacted
 from scenarios.study.estimates import EstimateTask, estimate
@@ -100,9 +100,7 @@ class ActiveRun:
 
     def _simulated(self, action: Action) -> str:
         """Key of the trial, which is kept."""
-        trial, settings = Trial(self.model, action, self.support), SimulationSettings()
-        simulate(trial, settings, self.store)
-        return key_of(trial_request(trial, settings))
+        return simulate(Trial(self.model, action, self.support), SimulationSettings(), self.store)
 
     def _measured(self, keys: list[str]) -> list[Trajectory]:
         """Trials under one draw of the sensor's errors."""

@@ -119,7 +119,7 @@ class EstimateRun:
         for draw in batch:
             place, _, key = draw
             if isinstance(value, Failure):
-                self.store.put_error(key, value.detail)
+                self.store.put_error("estimates", key, value.detail)
                 self._put(draw, _failed(place[-1], value.reason))
             else:  # the row as the next run will read it
                 if self.on_result is not None:

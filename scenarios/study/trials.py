@@ -92,7 +92,7 @@ class TrialRun:
         elif self.on_result is not None:
             self.on_result("trial", key)
         if isinstance(refusal, Failure):
-            self.store.put_trial_error(key, refusal.detail)
+            self.store.put_error("trials", key, refusal.detail)
         for experiment, action in self.asking.pop(key):
             self._go_on(experiment, action)
         self._show()
@@ -196,8 +196,8 @@ def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:
     return ""
 
 
-def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
-    """One physical trial, unless it is done.
+def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> str:
+    """One physical trial, unless it is done; its key.
 
     Raises:
         InfeasibleTrialError: it was refused; nothing has moved.
@@ -205,7 +205,7 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
     request = trial_request(trial, settings)
     key = key_of(request)
     if store.has_sound_trial(key):
-        return
+        return key
     from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
 
     feet = None
@@ -218,3 +218,4 @@ def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> None:
         trajectory, contacts = runner.run_with_contacts(trial, every=round(settings.rate / FEET_RATE))
         feet = contacts.foot_forces(trajectory.time_s)
     store.put_trial(key, trial, request, trajectory, feet)
+    return key

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scenarios.results.store import Store, key_of, trial_request
+from scenarios.results.store import Store
 from scenarios.study.trials import simulate
 from testbed.actions.base import Action
 from testbed.objects.files import load_object
@@ -14,7 +14,4 @@ def put_trial(
     root: Path, name: str, action: Action, support: Support = OWN_WEIGHT, settings: SimulationSettings | None = None
 ) -> str:
     """Simulate a trial, store it, and return its key."""
-    settings = settings or SimulationSettings()
-    trial = Trial(load_object(name), action, support)
-    simulate(trial, settings, Store(root))
-    return key_of(trial_request(trial, settings))
+    return simulate(Trial(load_object(name), action, support), settings or SimulationSettings(), Store(root))

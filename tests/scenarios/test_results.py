@@ -103,7 +103,7 @@ def test_status_counts_what_is_there(copied, capsys, monkeypatch):
     assert f"{copied}: finished" in text
     assert "trials: 4 done, 0 failed" in text
     assert re.search(r"estimates: 9 done( \([^)]*\))?, 0 failed", text)
-    Store(copied).put_error("0" * 20, "Traceback\nValueError: it broke\n")
+    Store(copied).put_error("estimates", "0" * 20, "Traceback\nValueError: it broke\n")
     main(["status", str(copied)])
     again = capsys.readouterr().out
     assert "1 failed" in again

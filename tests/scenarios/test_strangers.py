@@ -107,7 +107,7 @@ def test_a_name_that_leads_out_of_a_results_folder_is_refused(tmp_path, name):
         with pytest.raises(HeftError, match="leads out"):
             use(tmp_path, name)
     with pytest.raises(HeftError, match="leads out"):
-        Store(tmp_path).put_error(name, "text")
+        Store(tmp_path).put_error("estimates", name, "text")
     with pytest.raises(HeftError, match="leads out"):
         load_estimate(tmp_path, name)
 

@@ -11,7 +11,7 @@ import sys
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -30,7 +30,7 @@ class ViewerError(HeftError):
     """No viewer, or none that can open here."""
 
 
-def url_of(port: int = PORT) -> str:
+def url_of(port: int) -> str:
     """Address at which a viewer of this machine takes recordings."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
@@ -49,9 +49,9 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def has_display(environment: Mapping[str, str] = os.environ) -> bool:
+def has_display() -> bool:
     """True if a window can open."""
-    return sys.platform != "linux" or bool(environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_display(*, web: bool) -> None:

@@ -67,7 +67,7 @@ def score(
     from scenarios.benchmark.answers import read_answers
     from scenarios.benchmark.dataset import Benchmark
     from scenarios.results.files import plain
-    from testbed.files import write_whole
+    from testbed.files import write_text
 
     opened = Benchmark.open(benchmark)
     given = {path.stem: read_answers(path, opened.problems) for path in answers}
@@ -89,8 +89,7 @@ def score(
         content = {
             name: {"all": scoring.figures(each), "cells": _cells(each), "problems": each} for name, each in rows.items()
         }
-        text = dumps(plain({"split": chosen, "answers": content}), indent=1) + "\n"
-        write_whole(json, lambda part: part.write_text(text, encoding="utf-8"))
+        write_text(json, dumps(plain({"split": chosen, "answers": content}), indent=1) + "\n")
 
 
 def _split_of(benchmark: Benchmark, given: Mapping[str, Mapping[str, Answer]], known: Mapping[str, Truth]) -> str:

@@ -297,7 +297,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 
 def _state(manifest: dict[str, Any], *, running: bool) -> str:
-    """True if the last run of a folder is over, by its manifest."""
+    """State of the last run of a folder in words, by its manifest."""
     if running:
         return "a run is writing here now"
     if "finished" not in manifest:  # of an earlier version

@@ -33,7 +33,7 @@ from testbed.importers.importer import import_trajectory
 from testbed.importers.mapping import Mapping
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.robot.calibration import StaticPose, calibrate
+from testbed.robot.calibration.static_poses import StaticPose, calibrate
 from testbed.toml import load_toml
 from testbed.trajectory import Trajectory
 

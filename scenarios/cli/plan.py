@@ -255,7 +255,8 @@ def plan(
     from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
     from scenarios.runners import FeasibilityCheck
     from testbed.objects.files import load_object
-    from testbed.sensing import preset, read_scale
+    from testbed.sensing.noise import read_scale
+    from testbed.sensing.presets import preset
     from testbed.trial import support_of
     from testbed.worlds.presets import world as world_of
 

@@ -50,4 +50,4 @@ def check_weight(
     ok = abs(part - 1) <= ALLOWED + SURE * error
     text = f"accelerated turns show {100 * part:.0f} +- {100 * error:.0f} % of the inertia that these masses have"
     why = "" if ok else f": weigh the object again ({weight:.3g} kg), or check the torque's unit and the object's size"
-    return Finding("inertia", ok, part, error, text + why)
+    return Finding("inertia", ok, part, text + why)

@@ -37,7 +37,6 @@ from testbed.sensing.drift import judge_drift
 from testbed.sensing.seen import as_seen
 from testbed.trajectory import SERIES, Phase, Status, Trajectory
 from testbed.trial import Trial
-from testbed.validation import check_positive
 
 
 class RealRunner:
@@ -57,7 +56,6 @@ class RealRunner:
         confirm: Callable[[str], bool],
         tracker: ObjectPose | None = None,
         camera: ObjectCamera | None = None,
-        weight: float | None = None,
         raw: Path | None = None,
         clock: Clock | None = None,
     ):
@@ -72,14 +70,11 @@ class RealRunner:
             confirm: takes the first motion in words; True if it may be made.
             tracker: measures the object's pose after a trial, and so its slip in the grip; without it slip is unknown.
             camera: sees what the hand does not hold: pushes, and objects with hinges, need it.
-            weight: reading of a scale [kg]; None weighs by lifting.
             raw: folder in which every trial is written as it comes (`RawRecord`); None: only at its end.
             clock: clock of arm and sensor; the computer's own if left out.
         """
-        if weight is not None:
-            check_positive("RealRunner.weight", weight)
         self._arm, self._gripper, self._sensor, self._object_pose = arm, gripper, sensor, object_pose
-        self._settings, self._confirm, self._tracker, self._weight = settings, confirm, tracker, weight
+        self._settings, self._confirm, self._tracker = settings, confirm, tracker
         self._camera, self._raw = camera, raw
         self._tool_checked = False
         self._clock = MonotonicClock() if clock is None else clock
@@ -122,10 +117,6 @@ class RealRunner:
         plan.check(self._settings)
         return plan
 
-    def dry_run(self, trial: Trial) -> str:
-        """Motion of a trial in words; raises like `plan`."""
-        return described(self.plan(trial), self._settings)
-
     def run(self, trial: Trial) -> Trajectory:
         """Run one trial.
 
@@ -137,8 +128,6 @@ class RealRunner:
             InfeasibleTrialError: refused before moving.
             RobotError: not confirmed, not entered, or ended before anything was recorded.
         """
-        if not trial.action.moves and self._weight is not None:
-            return read_off(self._weight)
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
         plan = self.plan(trial)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.sensing.windows import mean_covariance
-from testbed.validation import check_positive, freeze_arrays, frozen_array
+from testbed.validation import check_positive, frozen_array
 
 GAIN_ERROR = 0.02
 """Allowed relative error of a known mass; heft's choice, the maker states no figure."""
@@ -65,24 +65,11 @@ def weigh(
 
 
 Verdict = Literal["agrees", "disagrees", "negated", "unsure"]
+"""Verdict of a known mass on a sensor: disagrees by gain or a stored tool calibration; negated: the other sign."""
 
 
-@dataclass(frozen=True)
-class MassCheck:
-    """Verdict of a known mass on a sensor."""
-
-    verdict: Verdict
-    """agrees; disagrees: gain or a stored tool calibration; negated: the other sign; unsure: too noisy."""
-    ratio: float
-    """Ratio of the measured to the known mass."""
-    standard_error: float
-    """Standard error of the ratio."""
-    text: str
-    """The verdict in a sentence."""
-
-
-def check_known_mass(weighing: Weighing, mass: float) -> MassCheck:
-    """Verdict on a weighing of a known mass [kg], which may be off by `GAIN_ERROR`."""
+def check_known_mass(weighing: Weighing, mass: float) -> tuple[Verdict, str]:
+    """Verdict on a weighing of a known mass [kg], which may be off by `GAIN_ERROR`; and the verdict in a sentence."""
     check_positive("known mass", mass)
     ratio, error = weighing.mass / mass, weighing.standard_error / mass
     measured = (
@@ -104,24 +91,13 @@ def check_known_mass(weighing: Weighing, mass: float) -> MassCheck:
             f"off by {100 * (ratio - 1):+.1f} %: the sensor may hold a stored tool calibration, something may touch "
             "the load, or `up` is not up"
         )
-    return MassCheck(verdict, ratio, error, f"{measured}: {why}")
+    return verdict, f"{measured}: {why}"
 
 
-@dataclass(frozen=True, eq=False)
-class HeldCenter:
-    """Center of mass of a held object, from the TCP."""
-
-    offset: Float[np.ndarray, "2"]
-    """Offset [m], world x and y."""
-    covariance: Float[np.ndarray, "2 2"]
-    """Covariance of the offset [m^2]."""
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self, offset=(2,), covariance=(2, 2))
-
-
-def held_center(wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> HeldCenter:
-    """Grasp offset from the static moment of an object that hangs free.
+def held_center(
+    wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
+    """Center of mass of an object that hangs free, from the TCP [m], world x and y, and its covariance [m^2].
 
     Args:
         wrench: wrench of the gripper on the object about the TCP [N, N m], world axes.
@@ -138,4 +114,4 @@ def held_center(wrench: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6
     slopes = np.zeros((2, 6))
     slopes[:, 2] = -offset / w[2]
     slopes[0, 4], slopes[1, 3] = -1 / w[2], 1 / w[2]
-    return HeldCenter(offset, slopes @ spread @ slopes.T)
+    return offset, slopes @ spread @ slopes.T

@@ -127,6 +127,6 @@ def _agrees(device: WrenchSensor, mass: float) -> bool:
         print(request, flush=True)
         sys.stdin.readline()
         readings.append(reading(device, _WEIGHING_TIME))
-    found = check_known_mass(weigh(*readings, up=None), mass)
-    print(found.text)
-    return found.verdict == "agrees"
+    verdict, text = check_known_mass(weigh(*readings, up=None), mass)
+    print(text)
+    return verdict == "agrees"

@@ -53,7 +53,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         text = (
             "the centers of the turns are those of the mirrored object: an axis of the object, or the yaw, is flipped"
         )
-        findings.append(Finding("mirrored", False, off, 0.0, text))
+        findings.append(Finding("mirrored", False, off, text))
     else:
         kind = "stated"
     angle, offset, left, spread = fits[kind]
@@ -64,7 +64,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     if not any(f.what == "center" for f in findings):
         worst = float(left.max())
         text = f"turns about the points that the actions name, {len(turned)} of them, to {1e3 * worst:.1f} mm"
-        findings.append(Finding("center", True, worst, 0.0, text))
+        findings.append(Finding("center", True, worst, text))
     return findings
 
 
@@ -124,7 +124,7 @@ def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray) 
         ok = abs(angle) <= CLOSING_ALLOWED + SURE * error
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
         text += "" if ok else f": correct closing_deg by {np.degrees(angle):+.0f}, or the grasps' angles"
-        findings.append(Finding("closing direction", bool(ok), angle, error, text))
+        findings.append(Finding("closing direction", bool(ok), angle, text))
     if count > 2 or not findings:
         error, far = spread / count**0.5, float(np.linalg.norm(offset))
         ok = far <= TCP_ALLOWED + SURE * error
@@ -132,7 +132,7 @@ def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray) 
         text = (
             f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and across"
         )
-        findings.append(Finding("TCP", bool(ok), far, error, text + ("" if ok else ": correct the TCP by that")))
+        findings.append(Finding("TCP", bool(ok), far, text + ("" if ok else ": correct the TCP by that")))
     return findings
 
 
@@ -148,4 +148,4 @@ def _wrong(shape: ObjectShape, action: Action, seen: np.ndarray, miss: float) ->
         f"{action.describe(shape)}: from the grasp, along the closing direction and across, its center should be "
         f"({should_x:.0f}, {should_y:.0f}) mm and is ({x:.0f}, {y:.0f}) mm, less what all turns have in common{would}"
     )
-    return Finding("center", False, miss, 0.0, text)
+    return Finding("center", False, miss, text)

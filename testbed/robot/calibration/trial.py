@@ -45,8 +45,6 @@ class Finding:
     """True if it is as it should be."""
     value: float
     """Measured value; its unit is in `text`."""
-    standard_error: float
-    """Standard error of that value."""
     text: str
     """The finding in a sentence, with its remedy."""
 
@@ -92,33 +90,33 @@ def _of_lift(wrench: np.ndarray, covariance: np.ndarray, mass: float | None) -> 
     text = f"the lifted object is held by {weight:.2f} +- {error:.2f} N upwards"
     if weight < -TOO_UNSURE * error:
         why = "it cannot hang upwards: sign is the wrong one, or the sensor is mounted upside down"
-        return [Finding("weight", False, weight, error, f"{text}: {why}")]
+        return [Finding("weight", False, weight, f"{text}: {why}")]
     if weight < TOO_UNSURE * error:
-        return [Finding("weight", False, weight, error, f"{text}: nothing was lifted")]
-    findings = [Finding("weight", True, weight, error, text)]
+        return [Finding("weight", False, weight, f"{text}: nothing was lifted")]
+    findings = [Finding("weight", True, weight, text)]
     if mass is not None:
         check_positive("check_trial.mass", mass)
         off, spread = weight / GRAVITY / mass - 1, error / GRAVITY / mass
         ok = abs(off) <= MASS_ALLOWED + TOO_UNSURE * spread
         text = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
-        findings.append(Finding("mass", ok, off, spread, text + ("" if ok else ": check the gain by a known mass")))
+        findings.append(Finding("mass", ok, off, text + ("" if ok else ": check the gain by a known mass")))
     tilt = float(np.arctan2(np.linalg.norm(wrench[:2]), weight))
     spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight)
     ok = tilt <= TILT_ALLOWED + TOO_UNSURE * spread
     text = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
     why = "" if ok else ": the sensor's rotation is off, or something touched the object"
-    return [*findings, Finding("vertical", ok, tilt, spread, text + why)]
+    return [*findings, Finding("vertical", ok, tilt, text + why)]
 
 
 def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) -> Finding:
-    held = held_center(wrench, covariance)
-    off = float(np.linalg.norm(held.offset - center))
-    error = float(np.sqrt(np.linalg.eigvalsh(held.covariance)[-1]))
+    held, spread = held_center(wrench, covariance)
+    off = float(np.linalg.norm(held - center))
+    error = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
     ok = off <= LEVER_ALLOWED + TOO_UNSURE * error
-    at = ", ".join(f"{1e3 * value:.1f}" for value in held.offset)
+    at = ", ".join(f"{1e3 * value:.1f}" for value in held)
     text = f"it hangs ({at}) mm from the TCP, {1e3 * off:.1f} +- {1e3 * error:.1f} mm from where it should"
     why = "" if ok else ": the TCP's place in the sensor's frame is off, or the rotation about the tool's axis"
-    return Finding("lever arm", ok, off, error, text + why)
+    return Finding("lever arm", ok, off, text + why)
 
 
 def _of_work(window: SteadyWindow) -> Finding:
@@ -131,7 +129,7 @@ def _of_work(window: SteadyWindow) -> Finding:
     if not ok:
         wrong = power < -TOO_UNSURE * error
         text += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to decide"
-    return Finding("friction", ok, power, error, text)
+    return Finding("friction", ok, power, text)
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
@@ -142,7 +140,7 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * error
     text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
     why = "" if ok else ": a bias that the tare left, or a cable that pulls"
-    return Finding("there and back", bool(ok), left, error / flips, text + why)
+    return Finding("there and back", bool(ok), left, text + why)
 
 
 def _of_slide(window: SteadyWindow) -> Finding:
@@ -152,4 +150,4 @@ def _of_slide(window: SteadyWindow) -> Finding:
     ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * error
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     why = "" if ok else f": turn the sensor's rotation by {-np.degrees(angle):+.0f} deg about the vertical"
-    return Finding("direction", ok, angle, error, text + why)
+    return Finding("direction", ok, angle, text + why)

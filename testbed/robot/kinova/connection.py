@@ -78,10 +78,10 @@ class Connection:
             raise
         self.router, self.base, self.cyclic = router, api.BaseClient(router), api.BaseCyclicClient(router)
 
-    def options(self, seconds: float | None = None) -> Any:
-        """Options of a call that may take `seconds`; longer than `silence` is a silence too."""
+    def options(self) -> Any:
+        """Options of a call: one that takes longer than `silence` is a silence too."""
         options = self.api.RouterClientSendOptions()
-        options.timeout_ms = round((self._silence if seconds is None else seconds) * 1000)
+        options.timeout_ms = round(self._silence * 1000)
         return options
 
     def stop(self) -> None:

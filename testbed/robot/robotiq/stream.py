@@ -20,6 +20,7 @@ except ImportError:
 
 RATE = 100.0
 """Frame rate [Hz]."""
+_PERIOD = 1 / RATE
 FRAME_BYTES = 16
 """Length of a frame [bytes]."""
 HEADER = b"\x20\x4e"
@@ -95,10 +96,9 @@ class FrameClock:
     makes up is loss. The clock follows the sensor's, up to 2 % off.
     """
 
-    def __init__(self, period: float = 1 / RATE):
+    def __init__(self) -> None:
         self.lost = 0
         """Lost frames, up to the last whole block."""
-        self._period = period
         self._due: float | None = None
         self._late: list[float] = []
 
@@ -106,9 +106,9 @@ class FrameClock:
         """Take in the arrival of a frame [s]."""
         due = time_s if self._due is None else self._due
         self._late.append(time_s - due)
-        self._due = due + self._period
+        self._due = due + _PERIOD
         if len(self._late) == _BLOCK:
             least = min(self._late)
-            self.lost += max(round(least / self._period), 0)
+            self.lost += max(round(least / _PERIOD), 0)
             self._due += least
             self._late.clear()

@@ -8,7 +8,6 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.robot.calibration.file import CalibrationFile, load_calibration, save_calibration
 from testbed.robot.calibration.hand_eye import align
@@ -24,8 +23,6 @@ from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.safety import SafetyLimits
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.toml import InvalidFileError, toml_text
-from testbed.trial import Trial
-from tests.fakes.robot import robot_for, small_object
 from tests.fakes.static_hand import BIAS, DOWN, ERROR, readings
 
 HAND, COVARIANCE = DOWN.as_quat(scalar_first=True), np.eye(6) * 1e-4
@@ -63,7 +60,6 @@ SETTINGS, LIMITS = RobotSettings(data_sheet(0.05)), SafetyLimits()
         (lambda: KortexArm(port=0), "KortexArm.port", "an integer from 1 to 65535"),
         (lambda: KortexArm(watchdog=0.0), "KortexArm.watchdog", "0.02 to 0.1 s"),
         (lambda: Ft300s("/dev/none", stale_after=0.0), "Ft300s.stale_after", "0.03 to 0.2 s"),
-        (lambda: robot_for(Trial(small_object(), Weigh()), weight=0.0), "RealRunner.weight", "a finite number > 0"),
     ],
 )
 def test_it_is_refused(call, field, allowed):

@@ -11,7 +11,7 @@ from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import SIDEWAYS, tare_samples, tool_pulls, tool_wrench, twist_rates
-from testbed.sensing.windows import mean_covariance, steady_samples
+from testbed.sensing.windows import bias_and_drift, mean_covariance, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 from testbed.worlds.setup_errors import SetupErrors
@@ -90,9 +90,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     motion = rotate_wrench(into_object, twist_rates(trajectory) + np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]))
 
     from_sensor = rotate_wrench(mount.T, move_wrench(np.eye(6), tool.tcp)).T
-    own = mean_covariance(trajectory.sensor_wrench[tare])
-    bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
-    drift = from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
+    bias, drift = bias_and_drift(trajectory, from_sensor)
     sensor_axes = rotation_matrix(trajectory.sensor_orientation)
     on_tool = tool_wrench(tool, trajectory, sensor_axes)
     pulls = tool_pulls(tool, sensor_axes, SIDEWAYS)

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.sensing.camera import SPAN, PoseStream
-from testbed.sensing.push_windows import WINDOW
-from testbed.sensing.windows import PARTS, SteadyWindow, part_means, steady_samples, windows_of
+from testbed.sensing.camera import SPAN
+from testbed.sensing.push_windows import WINDOW, seen_errors
+from testbed.sensing.windows import PARTS, SteadyWindow, part_means, reduced_once, steady_samples, windows_of
 from testbed.trajectory import Trajectory
 
-_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
-"""Windows of each record, which never changes."""
 
-
+@reduced_once
 def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """Windows of every steady stretch, each with the angle, rate and slope of every link as a camera sees them.
 
@@ -27,14 +24,9 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """
     if not (trajectory.action.dragged and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a turn or slide, status ok")
-    if trajectory.camera is None or trajectory.camera.parts < 2:
+    camera = trajectory.camera
+    if camera is None or camera.parts < 2:
         raise InvalidValueError("trajectory.camera", None, "poses of every link by a camera: the hand holds one alone")
-    if trajectory not in _REDUCED:
-        _REDUCED[trajectory] = _reduced(trajectory, trajectory.camera)
-    return list(_REDUCED[trajectory])
-
-
-def _reduced(trajectory: Trajectory, camera: PoseStream) -> list[SteadyWindow]:
     step = float(np.median(np.diff(trajectory.time_s)))
     stretches, more = [], list[dict[str, np.ndarray]]()
     for stretch in steady_samples(trajectory):
@@ -70,10 +62,6 @@ def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
 def turned_errors(
     covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], shared: float
 ) -> Float[np.ndarray, "3 4"]:
-    """Effects of the camera's errors on angle, rate and slope: three of the window's own, and one of its trial.
-
-    Neighboring windows share frames: each counts for so many windows, and their errors are widened as much.
-    """
+    """Effects of the camera's errors on angle, rate and slope: three of the window's own, and one of its trial."""
     yaw = [2, 5, 8]
-    values, vectors = np.linalg.eigh((covariance - np.outer(late, late))[np.ix_(yaw, yaw)])
-    return np.column_stack([vectors * np.sqrt(np.maximum(values, 0.0) * max(shared, 1.0)), late[yaw]])
+    return seen_errors(covariance[np.ix_(yaw, yaw)], late[yaw], shared)

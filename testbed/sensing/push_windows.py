@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +21,8 @@ from testbed.sensing.windows import (
     bias_and_drift,
     noise_of_mean,
     part_means,
+    reduced_once,
+    sensor_map,
     steady_samples,
 )
 from testbed.trajectory import Phase, Trajectory
@@ -37,10 +38,7 @@ NOISE = 2.0
 _SMOOTH = 5
 
 
-_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
-"""Windows of each record, which never changes."""
-
-
+@reduced_once
 def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """Windows of a push, from soon after the fingertip meets the object until it leaves it, or the path ends.
 
@@ -49,12 +47,6 @@ def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """
     if not (trajectory.action.pushes and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Push with status ok")
-    if trajectory not in _REDUCED:
-        _REDUCED[trajectory] = _reduced(trajectory)
-    return list(_REDUCED[trajectory])
-
-
-def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
     camera = trajectory.camera
     if camera is None:
         raise InvalidValueError("trajectory.camera", None, "poses of the object by a camera: the hand does not hold it")
@@ -76,7 +68,8 @@ def _reduced(trajectory: Trajectory) -> list[SteadyWindow]:
         axes[:, :2, :2] = rotation_2d(-yaw)
         wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept[part]])
         middle = len(part) // 2
-        from_sensor, bias, drift = bias_and_drift(trajectory, (int(kept[part[middle]]), float(yaw[middle])))
+        from_sensor = sensor_map(trajectory, (int(kept[part[middle]]), float(yaw[middle])))
+        bias, drift = bias_and_drift(trajectory, from_sensor)
         turned = block_diag(axes[middle], axes[middle])
         windows.append(
             SteadyWindow(
@@ -219,10 +212,16 @@ def _count(time: Float[np.ndarray, "N"], pace: float) -> int:
 def _errors(
     covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], into: Float[np.ndarray, "2 2"], shared: float
 ) -> Float[np.ndarray, "9 10"]:
-    """Effects of the camera's errors on pose, twist and acceleration, along the object's axes.
+    """Effects of the camera's errors on pose, twist and acceleration, along the object's axes."""
+    return block_diag(*[into, [[1.0]]] * 3) @ seen_errors(covariance, late, shared)
+
+
+def seen_errors(
+    covariance: Float[np.ndarray, "N N"], late: Float[np.ndarray, "N"], shared: float
+) -> Float[np.ndarray, "N M"]:
+    """Effects of a camera's errors: N of a window's own, and one of its trial, of poses that are `late`.
 
     Neighboring windows share frames: each counts for so many windows, and their errors are widened as much.
     """
     values, vectors = np.linalg.eigh(covariance - np.outer(late, late))
-    own = vectors * np.sqrt(np.maximum(values, 0.0) * max(shared, 1.0))
-    return block_diag(*[into, [[1.0]]] * 3) @ np.column_stack([own, late])
+    return np.column_stack([vectors * np.sqrt(np.maximum(values, 0.0) * max(shared, 1.0)), late])

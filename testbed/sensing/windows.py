@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
@@ -93,10 +94,22 @@ class SteadyWindow:
 
 
 Window = TypeVar("Window")
-_REDUCED: WeakKeyDictionary[Trajectory, list[SteadyWindow]] = WeakKeyDictionary()
-"""A record never changes and every method reduces it: once is enough."""
 
 
+def reduced_once(reduce: Callable[[Trajectory], list[Window]]) -> Callable[[Trajectory], list[Window]]:
+    """Reduction of a record to its windows, kept: a record never changes, and every method reduces it."""
+    kept: WeakKeyDictionary[Trajectory, list[Window]] = WeakKeyDictionary()
+
+    @wraps(reduce)
+    def windows(trajectory: Trajectory) -> list[Window]:
+        if trajectory not in kept:
+            kept[trajectory] = reduce(trajectory)
+        return list(kept[trajectory])
+
+    return windows
+
+
+@reduced_once
 def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     """Windows of every steady stretch of a trajectory.
 
@@ -113,9 +126,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
             trajectory.action,
             "a slide or a turn; read a weighing with weight_of, a lift with lift_windows, a push with push_windows",
         )
-    if trajectory not in _REDUCED:
-        _REDUCED[trajectory] = windows_of(trajectory, [(kept, kept) for kept in steady_samples(trajectory)])
-    return list(_REDUCED[trajectory])
+    return windows_of(trajectory, [(kept, kept) for kept in steady_samples(trajectory)])
 
 
 def windows_of(
@@ -128,7 +139,8 @@ def windows_of(
     twist = np.column_stack([linear, trajectory.object_velocity[:, 2]])
     world_twist = np.column_stack([trajectory.tcp_velocity[:, :2], trajectory.object_velocity[:, 2]])
     place = np.column_stack([trajectory.tcp_position[:, :2], trajectory.object_pose[:, 2]])
-    from_sensor, bias, drift = bias_and_drift(trajectory)
+    from_sensor = sensor_map(trajectory)
+    bias, drift = bias_and_drift(trajectory, from_sensor)
     tared, tilts = tare_time(trajectory), _tool_tilts(trajectory, [kept for kept, _ in stretches])
     rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     windows = []
@@ -174,19 +186,13 @@ def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]
 
 
 def bias_and_drift(
-    trajectory: Trajectory, at: tuple[int, float] | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Map from a wrench in the sensor's axes to the TCP and into object axes, and covariances of bias and drift there.
-
-    Args:
-        trajectory: record of a trial.
-        at: a sample, and the yaw of the object then [rad]; None of a grip, in which the hand turns with the object.
-    """
+    trajectory: Trajectory, from_sensor: Float[np.ndarray, "6 6"]
+) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 6"]]:
+    """Covariances of the bias left by the tare, and of the drift per second, where a map takes the sensor's wrench."""
     tare = tare_samples(trajectory)
     own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
-    from_sensor = _from_sensor(trajectory, at)
     bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
-    return from_sensor, bias, from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
+    return bias, from_sensor @ np.diag(trajectory.sensor_drift_std**2) @ from_sensor.T
 
 
 def steady_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
@@ -237,14 +243,17 @@ def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
     """
     hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
     noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
-    move = _from_sensor(trajectory)
+    move = sensor_map(trajectory)
     return np.sqrt(np.diag(move @ (noise + np.diag(trajectory.sensor_bias_std**2)) @ move.T))
 
 
-def _from_sensor(trajectory: Trajectory, at: tuple[int, float] | None = None) -> Float[np.ndarray, "6 6"]:
-    """Map from a wrench in the sensor's axes to the TCP and into object axes, at a sample and the object's yaw [rad].
+def sensor_map(trajectory: Trajectory, at: tuple[int, float] | None = None) -> Float[np.ndarray, "6 6"]:
+    """Map from a wrench in the sensor's axes to the TCP and into object axes.
 
-    A hand that holds the object turns with it, so one moment's axes serve for the whole trial.
+    Args:
+        trajectory: record of a trial.
+        at: a sample, and the yaw of the object then [rad]; None of a grip: the hand turns with the object, so one
+            moment's axes serve for the whole trial.
     """
     if trajectory.tool is None:
         return np.eye(6)

@@ -20,10 +20,10 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import (
     PARTS,
-    _from_sensor,
     effective_samples,
     mean_covariance,
     part_means,
+    sensor_map,
     steady_windows,
     weight_of,
 )
@@ -288,7 +288,7 @@ def test_the_bias_covariance_is_made_of_the_responses_to_unit_biases(yaw: float,
         for part in (slice(0, 2), slice(3, 5)):
             response[part] = rotation_2d(-yaw) @ response[part]
         expected += std**2 * np.outer(response, response)
-    move = _from_sensor(hand)
+    move = sensor_map(hand)
     assert_allclose(move @ np.diag(hand.sensor_bias_std**2) @ move.T, expected, atol=1e-12)
     (window,) = steady_windows(hand)
     assert_allclose(window.bias_covariance, expected, atol=1e-12)
@@ -311,7 +311,7 @@ def test_the_bias_covariance_of_a_sensor_straight_above_the_grasp():
 
 def test_the_bias_covariance_of_a_scale_is_its_own():
     hand = dataclasses.replace(hovering(0.9), tool=None)
-    assert_allclose(_from_sensor(hand), np.eye(6), atol=1e-15)
+    assert_allclose(sensor_map(hand), np.eye(6), atol=1e-15)
 
 
 def test_a_slide_has_the_twist_of_its_direction_in_the_object():

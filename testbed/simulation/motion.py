@@ -14,7 +14,7 @@ from testbed.actions.base import Action
 from testbed.actions.path import PAUSE, ToolPath, minimum_jerk
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import STROKE, ObjectShape
-from testbed.simulation.scene import HOME, arm_spec
+from testbed.simulation.scene import HOME, attach_arm
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Tool
 
@@ -32,7 +32,9 @@ _MOVE_LAST_JOINT_FIRST = np.array([1e-4] * 6 + [1e-6] + [1e-4] * 2)
 @lru_cache(maxsize=1)
 def arm_model() -> mujoco.MjModel:
     """Model of arm, sensor and gripper alone, compiled once a process."""
-    return arm_spec().compile()
+    spec = mujoco.MjSpec()
+    attach_arm(spec)
+    return spec.compile()
 
 
 def joint_path(poses: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -79,11 +81,6 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
         f"yaw {np.degrees(pose[3]):.0f} deg{tilt} (misses by {left:.3g}); "
         "choose a nearer pivot or a shorter slide"
     )
-
-
-def spline(poses: np.ndarray, start: np.ndarray) -> CubicSpline:
-    """Joint angles along `poses` (N, 4) as a smooth function of a path parameter from 0 to 1."""
-    return CubicSpline(np.linspace(0.0, 1.0, len(poses)), joint_path(poses, start))
 
 
 def gripper_tool(width: float) -> Tool:
@@ -190,7 +187,8 @@ def plan_motion(
     path = action.tool_path(shape, pose, dt)
     up = np.array([0.0, 0.0, 1.0, 0.0])
     grasped = path.start[:4] + settings.grip.tcp_height * up
-    descent_path = spline(np.linspace(grasped + HOVER * up, grasped, 4), np.array(HOME))
+    down = np.linspace(grasped + HOVER * up, grasped, 4)
+    descent_path = CubicSpline(np.linspace(0.0, 1.0, 4), joint_path(down, np.array(HOME)))
     q_hover, q_grasp = descent_path(0.0), descent_path(1.0)
     q, qd = joints_along(path, settings.grip.tcp_height, q_grasp)
     servo = settings.servo

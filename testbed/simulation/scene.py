@@ -313,13 +313,6 @@ def part(name: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(asset_folder("mjcf") / f"{name}.xml"))
 
 
-def arm_spec() -> mujoco.MjSpec:
-    """Spec of arm, sensor and gripper alone."""
-    spec = mujoco.MjSpec()
-    attach_arm(spec)
-    return spec
-
-
 def attach_arm(spec: mujoco.MjSpec, *, meshes: bool = False) -> None:
     """Add the arm, the sensor on its flange and the gripper on the sensor: "arm/joint_1", "ft/force", "gripper/tcp"."""
     arm = part("gen3")

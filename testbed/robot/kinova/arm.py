@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -115,15 +115,7 @@ class KortexArm:
     def move_to(self, pose: Pose, speed: float) -> None:
         """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
         epoch = self._epoch
-        reply = self._reached(self._ready(), pose, speed, epoch)
-        if epoch != self._epoch:
-            return
-        if "error" in reply:
-            raise ArmRefusedError(f"arm: the pose was not reached: {reply['error']}")
-        self._check_arrival(pose)
-
-    def _reached(self, link: KortexLink, pose: Pose, speed: float, epoch: int) -> dict[str, Any]:
-        """The arm's answer at the end of the way."""
+        link = self._ready()
         number = link.ask(
             "pose",
             position=pose.position.tolist(),
@@ -134,7 +126,11 @@ class KortexArm:
         )
         while (reply := link.reply(number, 1.0)) is None:
             pass
-        return reply
+        if epoch != self._epoch:
+            return
+        if "error" in reply:
+            raise ArmRefusedError(f"arm: the pose was not reached: {reply['error']}")
+        self._check_arrival(pose)
 
     def _check_arrival(self, pose: Pose) -> None:
         """Wait a moment for the arrival: the arm may report it too early."""

@@ -12,8 +12,8 @@ import os
 import signal
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any
 
 from testbed.robot.kinova.connection import Configuration
@@ -32,38 +32,26 @@ class Line:
         # whatever the API prints must not get between the lines
         self._out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-        self._waiting: deque[dict[str, Any]] = deque()
-        self._news, self._closed = threading.Condition(), False
+        self._waiting: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
         self._writer = threading.Thread(target=self._write, name="write", daemon=True)
         self._writer.start()
 
     def say(self, **message: Any) -> None:
         """Send one message; it is lost if heft has ended."""
-        with self._news:
-            self._waiting.append(message)
-            self._news.notify()
+        self._waiting.put(message)
 
     def offer(self, **message: Any) -> None:
         """Send one message, unless many wait: a newer one will follow."""
-        with self._news:
-            if len(self._waiting) < _MOST_WAITING:
-                self._waiting.append(message)
-                self._news.notify()
+        if self._waiting.qsize() < _MOST_WAITING:
+            self._waiting.put(message)
 
     def close(self) -> None:
         """Wait a moment until all is written."""
-        with self._news:
-            self._closed = True
-            self._news.notify()
+        self._waiting.put(None)
         self._writer.join(0.1)
 
     def _write(self) -> None:
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._waiting or self._closed)
-                if not self._waiting:
-                    return
-                message = self._waiting.popleft()
+        while (message := self._waiting.get()) is not None:
             try:
                 self._out.write(json.dumps(message) + "\n")
                 self._out.flush()

@@ -10,7 +10,6 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import NamedTuple
 
 from testbed.robot.interfaces import MissingDriverError
 
@@ -41,14 +40,6 @@ _LONGEST_WAIT_MS = 50
 """Longest wait of the thread [ms]: then it takes bytes too few to wake it, and looks if it is to end."""
 
 
-class Piece(NamedTuple):
-    """Bytes of one read."""
-
-    time_s: float
-    """Time of the read [s], `time.monotonic`."""
-    data: bytes
-
-
 class SerialReader:
     """A thread that reads from its creation until `stop`, or until the port is gone."""
 
@@ -64,7 +55,7 @@ class SerialReader:
         """
         self.failure = ""
         """Reason that reading ended by itself, else empty."""
-        self._descriptor, self._pieces, self._stopped = descriptor, deque[Piece](), False
+        self._descriptor, self._pieces, self._stopped = descriptor, deque[tuple[float, bytes]](), False
         try:
             settings = termios.tcgetattr(descriptor)
             settings[6][termios.VMIN], settings[6][termios.VTIME] = wake_at, 0
@@ -74,8 +65,8 @@ class SerialReader:
         self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
         self._thread.start()
 
-    def take(self) -> list[Piece]:
-        """Everything read since the last call, in order. For one thread at a time."""
+    def take(self) -> list[tuple[float, bytes]]:
+        """Time [s, `time.monotonic`] and bytes of every read since the last call. For one thread at a time."""
         return [self._pieces.popleft() for _ in range(len(self._pieces))]
 
     def stop(self) -> None:
@@ -96,6 +87,6 @@ class SerialReader:
                     continue
                 if not data:
                     raise OSError("the device hung up")
-                self._pieces.append(Piece(time.monotonic(), data))
+                self._pieces.append((time.monotonic(), data))
         except OSError as error:
             self.failure = str(error)

@@ -44,8 +44,6 @@ class FrameParser:
     """Finder of frames in a stream of bytes that may begin anywhere and be damaged anywhere."""
 
     def __init__(self) -> None:
-        self.frames = 0
-        """Whole frames found."""
         self.crc_errors = 0
         """Headers followed by a wrong checksum."""
         self.resyncs = 0
@@ -75,7 +73,6 @@ class FrameParser:
                 self._skip(1)
                 at += 1
         del buffer[:at]
-        self.frames += len(found)
         return found
 
     def _skip(self, count: int) -> None:

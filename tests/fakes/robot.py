@@ -28,10 +28,10 @@ from testbed.robot.interfaces import (
     WrenchSample,
 )
 from testbed.robot.kinova.arm import GEN3
+from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.path import KnownPose, opening, starting_pose
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.robotiq.ft300s import NOISE, REPEATS
-from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.runner import RealRunner
 from testbed.sensing.camera import CAMERAS
 from testbed.sensing.presets import preset

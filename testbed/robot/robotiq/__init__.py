@@ -1,4 +1,1 @@
-"""Robotiq FT-300S on a serial line (`ft300s.Ft300s`), and the data sheet of the 2F-85 gripper.
-
-Nothing is imported here: the data sheet needs no driver, the sensor needs pyserial and pymodbus.
-"""
+"""Robotiq FT-300S on a serial line: `ft300s.Ft300s`. Nothing is imported here: it needs pyserial and pymodbus."""

@@ -20,7 +20,7 @@ from testbed.robot.calibration.static_poses import (
     in_words,
     static_pose,
 )
-from testbed.robot.robotiq.gripper import data_sheet
+from testbed.robot.kinova.gripper import data_sheet
 from testbed.simulation.motion import arm_model, gripper_tool
 from testbed.toml import InvalidFileError
 from tests.fakes.static_hand import BIAS, COM, DOWN, ERROR, MASS, POSES, readings

@@ -25,10 +25,9 @@ from testbed.robot.config import (
     SensorTable,
 )
 from testbed.robot.kinova.arm import KortexArm
-from testbed.robot.kinova.gripper import KortexGripper
+from testbed.robot.kinova.gripper import KortexGripper, data_sheet
 from testbed.robot.registry import build_arm, load_robot_file
 from testbed.robot.robotiq.ft300s import REPEATS, Ft300s
-from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.safety import SafetyLimits
 from testbed.toml import InvalidFileError
 from testbed.validation import Range, check_settings

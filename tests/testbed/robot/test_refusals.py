@@ -16,10 +16,10 @@ from testbed.robot.calibration.trial import check_trial
 from testbed.robot.config import RobotFile, RobotSettings
 from testbed.robot.interfaces import ArmIdentity, Pose
 from testbed.robot.kinova.arm import GEN3, KortexArm
+from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.registry import load_robot_file
 from testbed.robot.robotiq.ft300s import Ft300s
-from testbed.robot.robotiq.gripper import data_sheet
 from testbed.robot.safety import SafetyLimits
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.toml import InvalidFileError, toml_text

@@ -19,8 +19,8 @@ from testbed.errors import InfeasibleTrialError
 from testbed.robot.calibration.motion import wrong_motion
 from testbed.robot.camera.interface import CameraLostError
 from testbed.robot.config import LimitsTable, RobotFile, RobotSettings
+from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.path import described, plan_trial, starting_pose
-from testbed.robot.robotiq.gripper import data_sheet
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import steady_windows

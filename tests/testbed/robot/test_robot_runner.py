@@ -14,8 +14,8 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError
+from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.path import closing_yaw, plan_trial, starting_pose, tool_down
-from testbed.robot.robotiq.gripper import data_sheet
 from testbed.sensing.windows import steady_windows, weight_of
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool

@@ -15,8 +15,7 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.config import RobotSettings
 from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, ArmState, Clock, Gripper, Pose, RobotError, WrenchSensor
-from testbed.robot.legs import Leg
-from testbed.robot.path import RobotPlan, closing_yaw, tool_down
+from testbed.robot.path import Leg, RobotPlan, closing_yaw, tool_down
 from testbed.robot.recorder import GripEvidence, Mark
 from testbed.robot.safety import UnsafeError, Violation
 from testbed.trajectory import Phase

@@ -1,21 +1,21 @@
-"""Path of a trial: where the object lies, and the plan of its legs over the table, which twists follow."""
+"""Path of a trial: where the object lies, its legs over the table, which twists follow, and the plan of all."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.path import WORKSPACE
+from testbed.actions.path import WORKSPACE, ToolPath, minimum_jerk
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import pose_from_point, transform_point
 from testbed.objects.model import Grasp, ObjectShape
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import Pose
-from testbed.robot.legs import Acting, Leg, Line, Target, sampled
 from testbed.robot.safety import path_violations
 from testbed.trial import Trial
 
@@ -41,6 +41,89 @@ class KnownPose:
 
 
 @dataclass(frozen=True, eq=False)
+class Target:
+    """Desired pose and velocity of the tool, base frame."""
+
+    position: Float[np.ndarray, "3"]
+    """Position of the TCP [m]."""
+    yaw: float
+    """Yaw of the closing direction [rad]."""
+    velocity: Float[np.ndarray, "3"]
+    """Velocity of the TCP [m/s]."""
+    yaw_rate: float
+    """Rate of the yaw [rad/s]."""
+    tilt: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Rotation vector that turns the tool from straight down at that yaw [rad], base axes."""
+    tilt_rate: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Rate of `tilt`, whose direction is constant [rad/s]."""
+
+    @property
+    def angular_velocity(self) -> Float[np.ndarray, "3"]:
+        """Angular velocity of the tool [rad/s]."""
+        return np.array([0.0, 0.0, self.yaw_rate]) + self.tilt_rate
+
+    @property
+    def tilt_angle(self) -> float:
+        """Angle of the approach axis from straight down [rad]."""
+        return math.acos(float(np.clip(Rotation.from_rotvec(self.tilt).as_matrix()[2, 2], -1.0, 1.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Straight leg from rest to rest with least jerk, at constant yaw."""
+
+    start: Float[np.ndarray, "3"]
+    """First position [m]."""
+    end: Float[np.ndarray, "3"]
+    """Last position [m]."""
+    yaw: float
+    """Yaw of the closing direction [rad]."""
+    duration: float
+    """Duration [s]."""
+
+    @classmethod
+    def at_most(cls, start: np.ndarray, end: np.ndarray, yaw: float, speed: float) -> Self:
+        """Line of greatest speed `speed` [m/s]."""
+        return cls(start, end, yaw, max(1.875 * float(np.linalg.norm(end - start)) / speed, 0.1))
+
+    def at(self, time: float) -> Target:
+        """Target at a time since the leg began [s]."""
+        x = min(max(time / self.duration, 0.0), 1.0)
+        (done, rate), way = minimum_jerk(x), self.end - self.start
+        return Target(self.start + done * way, self.yaw, rate / self.duration * way, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """Leg of the action itself."""
+
+    path: ToolPath
+    height: float
+    """Height of the TCP where the grip holds [m], base frame."""
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.path.duration
+
+    def at(self, time: float) -> Target:
+        """Target at a time since the leg began [s]."""
+        pose, rate = self.path.at(time)
+        return Target(pose[:3] + self.height * _UP, float(pose[3]), rate[:3], float(rate[3]), pose[4:], rate[4:])
+
+
+Leg = Line | Acting
+"""A stretch of the path: pose and velocity of the tool over the time since it began."""
+
+
+def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N"]]:
+    """Positions [m], twists [m/s, rad/s] and tilts from straight down [rad] along a leg."""
+    targets = [leg.at(t) for t in np.linspace(0.0, leg.duration, max(math.ceil(leg.duration / 0.05), 2) + 1)]
+    twists = [np.append(t.velocity, t.angular_velocity) for t in targets]
+    return np.array([t.position for t in targets]), np.array(twists), np.array([t.tilt_angle for t in targets])
+
+
+@dataclass(frozen=True, eq=False)
 class RobotPlan:
     """Plan of a trial."""
 
@@ -54,24 +137,15 @@ class RobotPlan:
     descent: Line
     act: Acting | None
     """None for a weighing."""
-    lift: Line | None
-    """For a weighing only."""
+    lift_and_down: tuple[Line, ...]
+    """Legs of a weighing; none else."""
     rise: Line
-
-    @property
-    def lift_and_down(self) -> tuple[Line, Line]:
-        """Legs of a weighing: up, and down again."""
-        assert self.lift is not None
-        return self.lift, Line(self.lift.end, self.lift.start, self.lift.yaw, self.lift.duration)
 
     @property
     def legs(self) -> dict[str, Leg]:
         """Legs in order, by name."""
-        work: dict[str, Leg]
-        if self.act is not None:
-            work = {"the action": self.act}
-        else:
-            work = dict(zip(("lift", "put down"), self.lift_and_down, strict=True))
+        work: dict[str, Leg] = {} if self.act is None else {"the action": self.act}
+        work |= zip(("lift", "put down"), self.lift_and_down, strict=False)
         return {"down to the object": self.descent, **work, "up again": self.rise}
 
     def duration(self, settings: RobotSettings) -> float:
@@ -151,6 +225,7 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
         assert grasp is not None
         hold, yaw = np.append(transform_point(pose, grasp.position), height), float(pose[2]) + grasp.angle
     hover, lifted = hold + settings.hover * _UP, hold + settings.lift * _UP
+    ways = (hold, lifted), (lifted, hold)
     last = act.at(act.duration) if act is not None else Target(hold, yaw, np.zeros(3), 0.0)
     return RobotPlan(
         trial=trial,
@@ -159,7 +234,7 @@ def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: Robo
         hover=Pose(hover, tool_down(yaw, settings)),
         descent=Line.at_most(hover, hold, yaw, settings.descent_speed),
         act=act,
-        lift=Line.at_most(hold, lifted, yaw, settings.descent_speed) if act is None else None,
+        lift_and_down=() if act else tuple(Line.at_most(*way, yaw, settings.descent_speed) for way in ways),
         rise=Line.at_most(last.position, last.position + settings.hover * _UP, last.yaw, settings.descent_speed),
     )
 

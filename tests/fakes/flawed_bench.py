@@ -12,9 +12,6 @@ from testbed.frames import cross_2d, move_wrench, perpendicular, rotate_wrench, 
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
 
-ANISOTROPY = (0.8, 0.5)
-"""Least over most friction, and the table's direction of most, rad."""
-
 
 def biased(trajectory: Trajectory, bias: np.ndarray, stated: np.ndarray | float = 0.0) -> Trajectory:
     """With a constant error of the sensor, N and N m, (6,), and the size of it that the sensor states."""
@@ -41,9 +38,7 @@ def held_beside(
     return analytic_trial(moved, action, **world)  # pyright: ignore[reportArgumentType]
 
 
-def on_anisotropic_table(
-    obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float, offset: object = 0.0
-) -> Trajectory:
+def on_anisotropic_table(obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float) -> Trajectory:
     """The trial on a table with friction anisotropy, the gripper unloaded: friction gives the pull of most power.
 
     Args:
@@ -51,12 +46,11 @@ def on_anisotropic_table(
         trajectory: the same action on an even table.
         ratio: least over most friction; their geometric mean is the object's.
         direction: of most friction, world, rad.
-        offset: as in `held_beside`, m.
     """
     shape = obj.shape
     assert isinstance(trajectory.action, Rotate | Accelerate | Slide)
     yaw, turn = trajectory.object_pose[:, 2], _upright(trajectory)[:, :2, :2]
-    lever = turn[:, None] @ (shape.particles - shape.grasps[trajectory.action.grasp].position - offset)[..., None]
+    lever = turn[:, None] @ (shape.particles - shape.grasps[trajectory.action.grasp].position)[..., None]
     lever = lever[..., 0]
     velocity = trajectory.tcp_velocity[:, None, :2] + trajectory.object_velocity[:, 2, None, None] * perpendicular(
         lever

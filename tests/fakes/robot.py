@@ -160,9 +160,9 @@ class FakeRobot:
         """Time for which the arm was driven after a moment [s]."""
         return max((at - time for at, _, driven in self.motion if at > time and driven), default=0.0)
 
-    def moved_after(self, time: float, still: float = 0.002) -> float:
+    def moved_after(self, time: float) -> float:
         """Time for which the tool moved after a moment [s]: driven, or slowing down."""
-        return max((at - time for at, speed, _ in self.motion if at > time and speed > still), default=0.0)
+        return max((at - time for at, speed, _ in self.motion if at > time and speed > 0.002), default=0.0)
 
     def way_after(self, time: float) -> float:
         """Way of the tool after a moment [m], a radian counted as 0.1 m."""

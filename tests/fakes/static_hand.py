@@ -69,7 +69,7 @@ orientation = ["qw", "qx", "qy", "qz"]
 MOUNT = Rotation.from_euler("xyz", (10, -20, 130), degrees=True)
 
 
-def recorded(folder: Path, *, rest_s=2.0, way_s=2.0, sign=1, noise=1.0, gain=None, seed=0) -> tuple[Path, Path]:
+def recorded(folder: Path, *, rest_s=2.0, way_s=2.0, sign=1, gain=None, seed=0) -> tuple[Path, Path]:
     """A recording of a hand that goes from pose to pose and rests in each, and its mapping."""
     rng, times = np.random.default_rng(seed), [0.0]
     hands = [hand for hand in POSES for _ in range(2)]
@@ -80,7 +80,7 @@ def recorded(folder: Path, *, rest_s=2.0, way_s=2.0, sign=1, noise=1.0, gain=Non
     up = (hand * MOUNT).inv().apply([0.0, 0.0, 1.0])
     force = MASS * GRAVITY * up
     load = np.hstack([force, np.cross(MOUNT.inv().apply(COM), force)])
-    wrench = sign * load * (1 if gain is None else gain) + BIAS + noise * NOISE * rng.standard_normal((len(time), 6))
+    wrench = sign * load * (1 if gain is None else gain) + BIAS + NOISE * rng.standard_normal((len(time), 6))
     columns = np.column_stack([time, wrench, np.zeros((len(time), 3)), hand.as_quat(scalar_first=True)])
     names = ["t", "fx", "fy", "fz", "tx", "ty", "tz", "x", "y", "z", "qw", "qx", "qy", "qz"]
     pd.DataFrame(columns, columns=names).to_csv(folder / "log.csv", index=False)

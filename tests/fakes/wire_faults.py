@@ -1,6 +1,6 @@
 """Faults of programs and connections in each phase of a guarded trial on the fake Gen3: in real time, over the wire.
 
-As a program it drives the arm under a guard: `python -m tests.fakes.wire_faults PORT PHASE WATCHDOG`.
+As a program it drives the arm under a guard: `python -m tests.fakes.wire_faults PORT PHASE`.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ class NoiseSensor:
         return SensorHealth(self._count, 0, 0, 0, 0, 0.0)
 
 
-def drive(port: int, phase: Phase, watchdog: float) -> None:
+def drive(port: int, phase: Phase) -> None:
     """Drive the arm until something ends it; prints the ids of its processes, the begin of the phase, and the error."""
     clock = MonotonicClock()
-    with terminable(), KortexArm("127.0.0.1", port=port, watchdog=watchdog) as arm:
+    with terminable(), KortexArm("127.0.0.1", port=port) as arm:
         link = arm._link
         assert link is not None
         print(link._process.pid, link._standby.pid, flush=True)
@@ -215,12 +215,12 @@ class Stopped:
 
 
 @contextmanager
-def driving(gen3: FakeGen3, phase: Phase, watchdog: float) -> Iterator[Driver]:
+def driving(gen3: FakeGen3, phase: Phase) -> Iterator[Driver]:
     """The program, once the phase has begun; it and its processes are killed at the end."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((ROOT, KORTEX))}
     environment.pop("HEFT_KORTEX_PYTHON", None)
     heft = subprocess.Popen(
-        [sys.executable, "-m", "tests.fakes.wire_faults", str(gen3.port), phase, str(watchdog)],
+        [sys.executable, "-m", "tests.fakes.wire_faults", str(gen3.port), phase],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -252,23 +252,21 @@ def _in_phase(gen3: FakeGen3, phase: Phase) -> bool:
     return phase == "tare" or gen3.world.speed > 0.8 * SPEED
 
 
-def stopped_after(
-    gen3: FakeGen3, fault: Fault, phase: Phase, watchdog: float = 0.05, *, own_limit: bool = False
-) -> Stopped:
+def stopped_after(gen3: FakeGen3, fault: Fault, phase: Phase, *, own_limit: bool = False) -> Stopped:
     """Strike in a phase, and watch the arm for 4 s or until it stands; by itself it stops only with `own_limit`."""
     for _ in range(ATTEMPTS):
         with suppress(TooBusyError):
-            return _stopped_after(gen3, fault, phase, watchdog, own_limit)
+            return _stopped_after(gen3, fault, phase, own_limit)
     raise TooBusyError(f"{ATTEMPTS} times")
 
 
-def _stopped_after(gen3: FakeGen3, fault: Fault, phase: Phase, watchdog: float, own_limit: bool) -> Stopped:
+def _stopped_after(gen3: FakeGen3, fault: Fault, phase: Phase, own_limit: bool) -> Stopped:
     gen3.faults = Faults(endures_silence=not own_limit)
     gen3.world.stop()
     gen3.world.open(STROKE)
     while gen3.world.width < 0.95 * STROKE:
         time.sleep(TICK)
-    with driving(gen3, phase, watchdog) as driver:
+    with driving(gen3, phase) as driver:
         gen3.commands.clear()
         begin, at = time.monotonic(), gen3.world.reading.tcp_pose.position
         fault(driver, gen3)
@@ -290,4 +288,4 @@ def _stopped_after(gen3: FakeGen3, fault: Fault, phase: Phase, watchdog: float, 
 
 
 if __name__ == "__main__":
-    drive(int(sys.argv[1]), PHASES[PHASES.index(sys.argv[2])], float(sys.argv[3]))  # pyright: ignore[reportArgumentType]
+    drive(int(sys.argv[1]), PHASES[PHASES.index(sys.argv[2])])  # pyright: ignore[reportArgumentType]

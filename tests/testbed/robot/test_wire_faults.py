@@ -12,7 +12,7 @@ from testbed.objects.files import load_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
 from tests.fakes.gen3 import FakeGen3
-from tests.fakes.rig import QUIET, over_wires
+from tests.fakes.rig import over_wires
 from tests.fakes.robot import small_object
 from tests.fakes.wire_faults import PHASES, WIRE_FAULTS, Phase, freeze_both, stopped_after
 from tests.fakes.world import Gen3World
@@ -57,7 +57,7 @@ def test_the_real_path_ends_in_the_simulations_masses():
     simulated = []
     while (action := policy.next(model.shape, simulated)) is not None:
         simulated.append(runner.run(Trial(model, action)))
-    real = over_wires(model, [t.action for t in simulated], QUIET)
+    real = over_wires(model, [t.action for t in simulated])
     if len(real) < len(simulated):
         pytest.skip("this machine is too busy for real time: trials ended as faults or came late")
     nad = []

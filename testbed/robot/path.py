@@ -255,7 +255,7 @@ def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) 
 def described(plan: RobotPlan, settings: RobotSettings) -> str:
     """The motion in words, a line per leg: places, speeds, times, and the path's distance from its limits."""
     x, y, yaw = plan.object_pose
-    turned = math.degrees(math.remainder(yaw, math.tau))
+    turned = math.degrees(math.remainder(yaw, math.tau)) + 0.0  # no minus before a zero
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
     action, shape = plan.trial.action, plan.trial.object.shape
     point = ", ".join(f"{1e3 * v:.0f}" for v in action.hand(shape)[0]) if plan.grasp is None else ""

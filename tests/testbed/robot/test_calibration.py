@@ -215,7 +215,8 @@ def test_a_pose_is_the_mean_of_its_samples_with_its_error():
 
 
 def test_a_file_brings_it_back(tmp_path: Path):
-    found = calibrate(readings(MOUNTS[6], -1, noise=1.0))
+    # a gain that a lab has written by hand may have no error
+    found = replace(calibrate(readings(MOUNTS[6], -1, noise=1.0)), gain=np.array([1.02, 1, 1, 1, 1, 1]))
     path = tmp_path / "new" / "mount.toml"
     save_calibration(path, found, "FSC-1234", "2026-01-31")
     for serial in (None, "unknown", "FSC-1234"):

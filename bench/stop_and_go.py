@@ -32,7 +32,7 @@ from estimators.inertial import (
 from scenarios.cli.terminal import open_table
 from scenarios.study.meshes import stated_inertia
 from testbed.errors import HeftError
-from testbed.objects.conversion import convert_mesh
+from testbed.objects.conversion.convert import convert_mesh
 from testbed.objects.model import GRAVITY
 from testbed.sensing.presets import Sensing, preset
 

@@ -44,7 +44,7 @@ from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
-from testbed.objects.conversion import convert_mesh
+from testbed.objects.conversion.convert import convert_mesh
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.sensing.noise import draw_sensing, read_scale

@@ -48,7 +48,7 @@ def mesh(
         friction: coefficient of friction with the table.
         grasps: maximum number of proposed grasps.
     """
-    from testbed.objects.conversion import convert_mesh, write_object
+    from testbed.objects.conversion.convert import convert_mesh, write_object
     from viz.figures.maps import save_figure
     from viz.figures.objects import object_page
 

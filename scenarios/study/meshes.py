@@ -16,7 +16,7 @@ from scenarios.config import Meshes, Scenario
 from scenarios.results.store import key_of
 from scenarios.study.experiment import Progress
 from testbed.errors import InvalidValueError, nearest
-from testbed.objects.conversion import Converted, convert_mesh, write_object
+from testbed.objects.conversion.convert import Converted, convert_mesh, write_object
 
 LIGHTEST = 0.1
 """Least density of a part, as a part of the whole's: rubber beside steel."""

@@ -18,7 +18,8 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
-from testbed.worlds import World, WorldDraw, world
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import World, world
 from tests.helpers.runs import quiet
 
 POLICY = Policy(duration=1.6, pivots=1, accelerated=1, held_out=0)

@@ -28,7 +28,9 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
-from testbed.worlds import WorldDraw, seeds, world
+from testbed.worlds import seeds
+from testbed.worlds.draw import WorldDraw
+from testbed.worlds.presets import world
 from tests.helpers.runs import quiet, small_scenario
 
 SPIES = """

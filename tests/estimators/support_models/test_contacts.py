@@ -18,7 +18,7 @@ from estimators.wrench.model import EXACT, ParticleModel, inertia_of
 from estimators.wrench.support import GripperLoad, contact_spread, rigid_loads
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
-from testbed.objects.conversion import convert_mesh
+from testbed.objects.conversion.convert import convert_mesh
 from testbed.objects.files import load_object
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from scenarios.cli.main import main
 from testbed.errors import InvalidValueError
-from testbed.objects.conversion import convert_mesh, write_object
+from testbed.objects.conversion.convert import convert_mesh, write_object
 from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface

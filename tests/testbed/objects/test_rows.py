@@ -28,8 +28,9 @@ from testbed.sensing.windows import steady_samples, wrench_in_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, Trial
-from testbed.worlds import WORLDS, World, WorldDraw
+from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
+from testbed.worlds.presets import WORLDS, World
 from tests.helpers.answers import nad
 from tests.helpers.blocks import blocks
 

@@ -27,10 +27,10 @@ from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
-from testbed.worlds import World, WorldDraw, world
+from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
 from testbed.worlds.instruments import REACH, mounting, response, true_sensing
-from testbed.worlds.presets import QUANTITIES, SOURCES, UNSTATED, WORLDS, stated_setup
+from testbed.worlds.presets import QUANTITIES, SOURCES, UNSTATED, WORLDS, World, stated_setup, world
 from testbed.worlds.surface import Surface
 
 L2 = load_object("L2")

@@ -36,19 +36,12 @@ _SINCE_1970 = 1e9, 4e9
 """Times between these count from 1970: the years 2001 to 2096 [s]."""
 
 
-def import_trajectory(
-    log: Path,
-    mapping: Path,
-    limit: DriftLimit | None = None,
-    delay: Delay | None = None,
-    entry: LogMap | None = None,
-) -> Trajectory:
+def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entry: LogMap | None = None) -> Trajectory:
     """Read a log of another robot as a trajectory.
 
     Args:
         log: a table, an .mcap file, or a ROS 2 bag: its folder or a .db3 file.
         mapping: a TOML file that describes its columns; see docs/formats.md.
-        limit: largest drift of a valid trial, if the log ends with a second tare.
         delay: delay of a separate stream of wrenches; None takes the mapping's, or that of an accelerated turn.
         entry: the [[logs]] table of the trial, if several name this log.
 
@@ -114,7 +107,7 @@ def import_trajectory(
     trajectory = as_seen(compensate(trajectory, zeroed=table.sensor.zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; check in_base and object of [camera], tcp_in_hand_m and closing_deg")
-    return judge_drift(trajectory, limit or DriftLimit())
+    return judge_drift(trajectory, DriftLimit())
 
 
 def delay_of(log: Path, mapping: Path, entry: LogMap | None = None) -> Delay | None:

@@ -59,13 +59,6 @@ class RigidBody:
             inertia += box.mass * (own + off @ off * np.eye(3) - np.outer(off, off))
         return RigidBody(total, center, inertia)
 
-    @property
-    def pseudo_inertia(self) -> Float[np.ndarray, "4 4"]:
-        """Positive definite for every body that can exist (Wensing, Kim and Slotine 2018)."""
-        second = np.trace(self.inertia) / 2 * np.eye(3) - self.inertia + self.mass * np.outer(self.center, self.center)
-        first = self.mass * self.center
-        return np.block([[second, first[:, None]], [first[None], np.array([[self.mass]])]])
-
 
 AIR = 0.001
 """Height over the table of boxes that do not touch it [m], that no simulator has them rub; a tenth of a flat object."""

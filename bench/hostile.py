@@ -41,8 +41,8 @@ try:
         load_object(str(path))
     elif path.suffix == ".csv":
         from testbed.importers.columns import Columns, TimeMap
-        from testbed.importers.tables import CsvLog
-        log = CsvLog(path, Columns.model_construct())
+        from testbed.importers.tables import TableLog
+        log = TableLog(path, Columns.model_construct())
         log.series("sensor", ["a", "b"], None, TimeMap(column="t"))
     else:
         from testbed.objects.conversion.surface import read_surface

@@ -20,17 +20,16 @@ from testbed.importers.mapping import Mapping
 from testbed.importers.messages import open_messages
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, without_faults
 from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
-from testbed.importers.tables import ArrayLog, CsvLog
+from testbed.importers.tables import ARRAYS, TableLog
 from testbed.sensing.camera import PoseStream
 
 _SLOPE_WINDOW = 0.15
 """Time over which a logged pose is differentiated [s]."""
 _AROUND = 1.0
 """Time before and after a trial of which a camera's frames are kept [s]."""
-_TABLES = (".csv", ".tsv", ".txt")
-_ARRAYS = (".parquet", ".h5", ".hdf5")
+_TEXTS = (".csv", ".tsv", ".txt")
 _BAGS = (".db3", ".mcap")
-_SUFFIXES = ", ".join(_TABLES + _ARRAYS + _BAGS)
+_SUFFIXES = ", ".join(_TEXTS + ARRAYS + _BAGS)
 MOST_TURNS = 20.0
 """Angle of a joint, in turns, beyond which it is none: cables and hoses end sooner."""
 _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
@@ -165,10 +164,8 @@ def open_log(path: Path, table: Columns) -> Log:
         return open_messages(path)
     if not path.is_file():
         raise InvalidValueError("log", str(path), f"an existing file ({_SUFFIXES}) or bag folder")
-    if path.suffix in _TABLES:
-        return CsvLog(path, table)
-    if path.suffix in _ARRAYS:
-        return ArrayLog(path, table)
+    if path.suffix in _TEXTS + ARRAYS:
+        return TableLog(path, table)
     if path.suffix in _BAGS:
         return open_messages(path)
     raise InvalidValueError("log", str(path), f"a file that ends in {_SUFFIXES}, or a bag folder")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_datetime64_dtype, is_integer_dtype, is_string_dtype
 
 from testbed.errors import InvalidValueError, short
 from testbed.importers.columns import ISO, Cell, Columns, TimeMap
@@ -28,6 +28,8 @@ from testbed.importers.logs import (
     unknown,
 )
 
+ARRAYS = (".parquet", ".h5", ".hdf5")
+"""Suffixes of files of arrays; other tables are of text."""
 MOST_LETTERS = 2**17
 """Longest line of a table that is read."""
 SEPARATORS = ("\t", ";", ",")
@@ -36,20 +38,22 @@ EPISODE = "episode_index"
 """Column of LeRobot's data that says which episode a row is of."""
 
 
-class TableLog(ABC):
-    """Columns by name, each with the number of its rows. A row may leave a group of columns blank."""
+class TableLog:
+    """Columns by name, each with the number of its rows. A row may leave a group of columns blank.
 
-    path: Path
-    epoch_s: int
-    """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
-    _names: list[str]
-    _where: dict[str, float]
-    _numbered: bool
-    """True for rows without times, which are numbered: poses of their own."""
+    Text has a header line, and may join several rates. In Parquet and HDF5 items of lists and columns of arrays have a
+    name with a dot and a number, as `pose.0`.
+    """
 
     def __init__(self, path: Path, mapping: Columns):
         self.path, self.epoch_s = path, 0
-        self._where, self._numbered = mapping.where, mapping.rows == "poses"
+        """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
+        self._where, self._decimal = mapping.where, mapping.decimal
+        self._numbered = mapping.rows == "poses"  # rows without times, which are numbered: poses of their own
+        if path.suffix in ARRAYS:
+            self._row, self._names, self._columns = "row", *_arrays(path)
+        else:
+            self._row, self._names, self._columns = "line", *_text_columns(path, mapping)
 
     def type_of(self, field: str, topic: str | None) -> str:
         """Empty: a table has no messages.
@@ -101,7 +105,8 @@ class TableLog(ABC):
         if (bad := ~np.isfinite(rows)).any():
             row, column = np.argwhere(bad)[0]
             name = [str(time.column), *sought][column]
-            raise LogError(f"{self.path}: {self._place(int(there[row]))}: {name} is blank or not finite")
+            place = self._column(field, sought[0]).index[there[row]]
+            raise LogError(f"{self.path}: {self._row} {place}: {name} is blank or not finite")
         try:
             return ordered(self.path, field, stamps, values, names)
         except LogError as error:
@@ -110,8 +115,8 @@ class TableLog(ABC):
                 raise LogError(f"{error}; it has episodes: allowed: {allowed}") from None
             raise
 
-    def _column(self, field: str, name: str) -> int:
-        """Index of a column.
+    def _column(self, field: str, name: str) -> pd.Series:
+        """Cells of a column, texts with decimal points, by the numbers of their lines or rows.
 
         Raises:
             InvalidValueError: no such column; the message names the nearest.
@@ -121,7 +126,10 @@ class TableLog(ABC):
             raise unknown(field, name, self._names, self.path)
         if (count := self._names.count(name)) > 1:
             raise LogError(f"{self.path}: {field}: {name}: {count} columns have this name; allowed: one")
-        return self._names.index(name)
+        cells = self._columns(self._names.index(name))
+        if is_string_dtype(cells.dtype) and self._decimal != ".":
+            return cells.str.replace(self._decimal, ".", regex=False)
+        return cells
 
     def _since_epoch(self, stamps: np.ndarray) -> np.ndarray:
         """Seconds of dates from the second of the first one, exact to the nanosecond; NaN of none."""
@@ -130,106 +138,72 @@ class TableLog(ABC):
             self.epoch_s = int(nanoseconds[there][0]) // SECOND
         return np.where(there, (nanoseconds - self.epoch_s * SECOND) / SECOND, np.nan)
 
-    @abstractmethod
-    def _place(self, row: int) -> str:
-        """Name of a row, in errors."""
-
-    @abstractmethod
     def _numbers(self, field: str, name: str) -> np.ndarray:
         """Numbers of a column, NaN where it is blank."""
-
-    @abstractmethod
-    def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
-        """Times [s] of a column, NaN where it is blank."""
-
-
-class CsvLog(TableLog):
-    """Table of text with a header line. A row may leave columns blank, if the table joins several rates."""
-
-    def __init__(self, path: Path, mapping: Columns):
-        super().__init__(path, mapping)
-        self._decimal = mapping.decimal
-        try:
-            lines = _decoded(path).split("\n")
-            _check_lines(path, lines)
-            kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
-            head, sought = lines[kept[0]] if kept else "", mapping.separator
-            if len(sought) == 1 and sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
-                allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
-                raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
-            text = StringIO("\n".join(lines[i] for i in kept))
-            table = pd.read_csv(
-                text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
-            )
-        except (OSError, ValueError) as error:
-            raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
-        first = [str(name).strip() for name in table.iloc[0]]
-        numbers = np.asarray(pd.to_numeric(table.iloc[0], errors="coerce"), dtype=float)
-        if mapping.header and not np.isnan(numbers).any():
-            allowed = "names of the columns, or header = false in the mapping, which names them 1, 2, ..."
-            raise LogError(f"{path}: no header: line {kept[0] + 1} holds numbers alone; allowed: {allowed}")
-        self._names = first if mapping.header else [str(column) for column in range(1, len(first) + 1)]
-        self._lines = np.array(kept[mapping.header : len(table)]) + 1
-        self._table = table[int(mapping.header) :]
-
-    def _place(self, row: int) -> str:
-        return f"line {self._lines[row]}"
-
-    def _cells(self, field: str, name: str) -> pd.Series:
-        """Cells of a column with decimal points."""
-        cells = pd.Series(self._table.iloc[:, self._column(field, name)])
-        return cells if self._decimal == "." else cells.str.replace(self._decimal, ".", regex=False)
-
-    def _numbers(self, field: str, name: str) -> np.ndarray:
-        cells = self._cells(field, name)
+        cells = self._column(field, name)
+        if is_datetime64_dtype(cells.dtype):
+            raise LogError(f"{self.path}: {field}: {name} holds times; allowed: numbers")
         numbers = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
         self._check(name, cells, numbers, "a number")
         return numbers
 
     def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
-        if unit != ISO:
-            return self._numbers(field, name) * factor("time", unit)
-        cells = self._cells(field, name)  # without a time zone they are UTC
-        dates = pd.DatetimeIndex(pd.to_datetime(cells, errors="coerce", format="ISO8601", utc=True)).as_unit("ns")
-        seconds = self._since_epoch(dates.asi8.view("datetime64[ns]"))
-        self._check(name, cells, seconds, "a date by ISO 8601, as 2026-01-31T12:00:00.125")
-        return seconds
+        """Times [s] of a column, NaN where it is blank."""
+        cells = self._column(field, name)
+        if is_datetime64_dtype(cells.dtype):
+            return self._since_epoch(cells.to_numpy())
+        is_text = is_string_dtype(cells.dtype)
+        if unit == ISO and not is_text:
+            raise InvalidValueError("time.unit", unit, f"a unit of time: {name} holds numbers", file=self.path)
+        if unit == ISO:  # without a time zone they are UTC
+            dates = pd.DatetimeIndex(pd.to_datetime(cells, errors="coerce", format="ISO8601", utc=True)).as_unit("ns")
+            seconds = self._since_epoch(dates.asi8.view("datetime64[ns]"))
+            self._check(name, cells, seconds, "a date by ISO 8601, as 2026-01-31T12:00:00.125")
+            return seconds
+        if unit == "ns" and is_integer_dtype(cells.dtype):  # more digits than a float has
+            return self._since_epoch(cells.to_numpy().astype("datetime64[ns]"))
+        return self._numbers(field, name) * factor("time", unit)
 
     def _check(self, name: str, cells: pd.Series, values: np.ndarray, allowed: str) -> None:
         wrong = np.flatnonzero(np.isnan(values) & cells.notna())
         if len(wrong):
             at = int(wrong[0])
-            got = f"{self.path}: line {self._lines[at]}: {name}: got {short(cells.iloc[at])}"
+            got = f"{self.path}: {self._row} {cells.index[at]}: {name}: got {short(cells.iloc[at])}"
             raise LogError(f"{got}; allowed: {allowed}, or blank")
 
 
-class ArrayLog(TableLog):
-    """Parquet or HDF5 file. Items of lists and columns of arrays have a name with a dot and a number, as `pose.0`."""
+def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[int], pd.Series]]:
+    """Names of the columns of a table of text, and the cells of each, by the numbers of their lines."""
+    try:
+        lines = _decoded(path).split("\n")
+        _check_lines(path, lines)
+        kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
+        head, sought = lines[kept[0]] if kept else "", mapping.separator
+        if len(sought) == 1 and sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
+            allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
+            raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
+        text = StringIO("\n".join(lines[i] for i in kept))
+        table = pd.read_csv(
+            text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
+        )
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+    table.index = pd.Index(np.array(kept[: len(table)]) + 1)
+    first = [str(name).strip() for name in table.iloc[0]]
+    numbers = np.asarray(pd.to_numeric(table.iloc[0], errors="coerce"), dtype=float)
+    if mapping.header and not np.isnan(numbers).any():
+        allowed = "names of the columns, or header = false in the mapping, which names them 1, 2, ..."
+        raise LogError(f"{path}: no header: line {kept[0] + 1} holds numbers alone; allowed: {allowed}")
+    names = first if mapping.header else [str(column) for column in range(1, len(first) + 1)]
+    return names, lambda column: table.iloc[int(mapping.header) :, column]
 
-    def __init__(self, path: Path, mapping: Columns):
-        super().__init__(path, mapping)
-        with parsed_log("testbed.parsing.tables", path, "an HDF5 file", "h5py") as found, np.load(found) as arrays:
-            self._names = [str(name) for name in arrays["names"]]
-            self._arrays = [arrays[f"column_{i}"] for i in range(len(self._names))]
 
-    def _place(self, row: int) -> str:
-        return f"row {row}"
-
-    def _numbers(self, field: str, name: str) -> np.ndarray:
-        values = self._arrays[self._column(field, name)]
-        if values.dtype.kind == "M":
-            raise LogError(f"{self.path}: {field}: {name} holds times; allowed: numbers")
-        return values.astype(float)
-
-    def _stamps(self, field: str, name: str, unit: str) -> np.ndarray:
-        values = self._arrays[self._column(field, name)]
-        if values.dtype.kind == "M":
-            return self._since_epoch(values)
-        if unit == ISO:
-            raise InvalidValueError("time.unit", unit, f"a unit of time: {name} holds numbers", file=self.path)
-        if values.dtype.kind == "i" and unit == "ns":  # more digits than a float has
-            return self._since_epoch(values.astype("datetime64[ns]"))
-        return values * factor("time", unit)
+def _arrays(path: Path) -> tuple[list[str], Callable[[int], pd.Series]]:
+    """Names of the columns of a Parquet or HDF5 file, and the values of each."""
+    with parsed_log("testbed.parsing.tables", path, "an HDF5 file", "h5py") as found, np.load(found) as arrays:
+        names = [str(name) for name in arrays["names"]]
+        columns = [arrays[f"column_{i}"] for i in range(len(names))]
+    return names, lambda column: pd.Series(columns[column])
 
 
 def _decoded(path: Path) -> str:

@@ -1,14 +1,13 @@
 """Logs that no recorder writes are refused in a line, and take neither memory nor time."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from testbed.importers.columns import TimeMap
+from testbed.importers.columns import Columns, TimeMap
 from testbed.importers.logs import LogError
 from testbed.importers.messages import open_messages
-from testbed.importers.tables import CsvLog
+from testbed.importers.tables import TableLog
 
 writer = pytest.importorskip("mcap.writer")
 pytestmark = pytest.mark.own_process
@@ -104,14 +103,13 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
 )
 def test_a_line_that_is_no_row_of_a_table_is_refused(text: str, reason: str, tmp_path: Path):
     (path := tmp_path / "log.csv").write_text(text, encoding="utf-8")
-    columns = SimpleNamespace(rows="samples", decimal=".", comment="#", separator=",", header=True, where={})
     with pytest.raises(LogError, match=reason):
-        CsvLog(path, columns)  # pyright: ignore[reportArgumentType]
+        TableLog(path, Columns.model_construct())
 
 
 def test_a_long_cell_is_cut_in_the_message(tmp_path: Path):
     (path := tmp_path / "log.csv").write_text(f"t,a\n1,2\n2,{'x' * 9999}\n", encoding="utf-8")
-    log = CsvLog(path, SimpleNamespace(rows="samples", decimal=".", comment="#", separator=",", header=True, where={}))  # pyright: ignore[reportArgumentType]
+    log = TableLog(path, Columns.model_construct())
     with pytest.raises(LogError, match=r"line 3: a: got 'xx.*\.\.\.; allowed: a number") as error:
         log.series("sensor", ["a"], None, TimeMap(column="t"))
     assert len(str(error.value)) < 400

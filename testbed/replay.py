@@ -88,8 +88,8 @@ class ReplayRunner:
         files = finished or sorted(root.glob("*.parquet"))
         if not files:
             raise InvalidValueError("replay folder", str(folder), "a results folder, or one of trajectory files")
-        headers = sorted(((_header(path), path) for path in files), key=lambda t: (t[0][1].get("recorded", ""), t[1]))
-        self.recordings: tuple[Recording, ...] = tuple(_recording(path, *header) for header, path in headers)
+        recorded = sorted((_recording(path) for path in files), key=lambda found: (found[0], found[1].path))
+        self.recordings: tuple[Recording, ...] = tuple(recording for _, recording in recorded)
         """Recordings in order."""
         self._folder, self._secret = root, new_secret() if secret is None else secret
         self._played: set[Path] = set()
@@ -128,17 +128,15 @@ class ReplayRunner:
         return f"{self._folder} has no {wanted}, support {trial.support.name}; it has {shown}"
 
 
-def _header(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """Action and provenance of a trajectory file, without its samples."""
+def _recording(path: Path) -> tuple[str, Recording]:
+    """Time of recording, if known, and header of a trajectory file, without its samples."""
     try:
         header = json.loads((pq.read_schema(path).metadata or {})[b"heft"])
-        return header["action"], header["provenance"]
+        action, provenance = header["action"], header["provenance"]
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
         raise DamagedFileError(f"{path}: not a trajectory file: {error}") from None
-
-
-def _recording(path: Path, action: dict[str, Any], provenance: Mapping[str, str]) -> Recording:
-    return Recording(path, action_from_dict(action), _object_of(path, provenance), provenance.get("support"))
+    recording = Recording(path, action_from_dict(action), _object_of(path, provenance), provenance.get("support"))
+    return provenance.get("recorded", ""), recording
 
 
 def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:

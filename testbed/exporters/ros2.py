@@ -134,8 +134,8 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
     turned = np.column_stack([np.zeros((len(half), 2)), np.sin(half), np.cos(half)]).tolist()
     below = (-trajectory.tool.tcp).tolist()
 
-    def header(i: int, frame: str) -> Any:
-        return make("std_msgs/Header", make("builtin_interfaces/Time", *divmod(stamps[i], _SECOND)), frame)
+    def header(stamp: int, frame: str = "world") -> Any:
+        return make("std_msgs/Header", make("builtin_interfaces/Time", *divmod(stamp, _SECOND)), frame)
 
     def vector(values: list[float]) -> Any:
         return make("geometry_msgs/Vector3", *values)
@@ -144,24 +144,26 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
         w, *rest = t["sensor_orientation"][i]
         return make("geometry_msgs/Quaternion", *rest, w)
 
-    def pose(i: int) -> Any:
-        point = make("geometry_msgs/Point", *t["tcp_position"][i])
-        return make("geometry_msgs/PoseStamped", header(i, "world"), make("geometry_msgs/Pose", point, quaternion(i)))
+    def posed(stamp: int, place: list[float], turn: Any) -> Any:
+        content = make("geometry_msgs/Pose", make("geometry_msgs/Point", *place), turn)
+        return make("geometry_msgs/PoseStamped", header(stamp), content)
 
     def twist(i: int) -> Any:
         linear, angular = vector(t["tcp_velocity"][i][:3]), vector(t["tcp_velocity"][i][3:])
-        return make("geometry_msgs/TwistStamped", header(i, "world"), make("geometry_msgs/Twist", linear, angular))
+        return make("geometry_msgs/TwistStamped", header(stamps[i]), make("geometry_msgs/Twist", linear, angular))
 
     def wrench(series: str, frame: str) -> _Message:
         def of(i: int) -> Any:
             force, torque = vector(t[series][i][:3]), vector(t[series][i][3:])
-            return make("geometry_msgs/WrenchStamped", header(i, frame), make("geometry_msgs/Wrench", force, torque))
+            return make(
+                "geometry_msgs/WrenchStamped", header(stamps[i], frame), make("geometry_msgs/Wrench", force, torque)
+            )
 
         return of
 
     def transform(i: int, child: str, place: list[float], turn: Any, parent: str = "world") -> Any:
         content = make("geometry_msgs/Transform", vector(place), turn)
-        return make("geometry_msgs/TransformStamped", header(i, parent), child, content)
+        return make("geometry_msgs/TransformStamped", header(stamps[i], parent), child, content)
 
     none = make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
 
@@ -176,22 +178,21 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
 
     def joints(i: int) -> Any:
         angles, rest = np.array(trajectory.joint_position[i], order="C"), np.empty(0)
-        return make("sensor_msgs/JointState", header(i, ""), list(JOINTS), angles, rest, rest)
+        return make("sensor_msgs/JointState", header(stamps[i], ""), list(JOINTS), angles, rest, rest)
 
     def seen(time: list[int], poses: np.ndarray) -> _Message:
         def of(i: int) -> Any:
             x, y, yaw = poses[i].tolist()
-            stamp = make("builtin_interfaces/Time", *divmod(time[i], _SECOND))
             turn = make("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-            place = make("geometry_msgs/Pose", make("geometry_msgs/Point", x, y, 0.0), turn)
-            return make("geometry_msgs/PoseStamped", make("std_msgs/Header", stamp, "world"), place)
+            return posed(time[i], [x, y, 0.0], turn)
 
         return of
 
     yield "/tf_static", "tf2_msgs/TFMessage", static, stamps[:1]
     yield "/wrench", "geometry_msgs/WrenchStamped", wrench("sensor_wrench", "sensor"), stamps
     yield "/wrench_on_object", "geometry_msgs/WrenchStamped", wrench("wrench_on_object_world", "tcp_level"), stamps
-    yield "/tcp/pose", "geometry_msgs/PoseStamped", pose, stamps
+    pose = "geometry_msgs/PoseStamped"
+    yield "/tcp/pose", pose, lambda i: posed(stamps[i], t["tcp_position"][i], quaternion(i)), stamps
     yield "/tcp/velocity", "geometry_msgs/TwistStamped", twist, stamps
     yield "/tf", "tf2_msgs/TFMessage", tree, stamps
     yield "/phase", "std_msgs/Int32", lambda i: make("std_msgs/Int32", t["phase"][i]), stamps
@@ -204,7 +205,7 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
         poses = camera.poses[:, part]
         kept = ~np.isnan(poses[:, 0]) & (camera.time_s >= trajectory.time_s[0])
         time = _stamps(trajectory, camera.time_s[kept])
-        yield _PART.format(part), "geometry_msgs/PoseStamped", seen(time, poses[kept]), time
+        yield _PART.format(part), pose, seen(time, poses[kept]), time
 
 
 def _stamps(trajectory: Trajectory, time: np.ndarray) -> list[int]:

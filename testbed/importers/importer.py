@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,8 +17,8 @@ from testbed.importers.logs import LogError, read_all
 from testbed.importers.mapping import LogMap, Mapping
 from testbed.importers.phases import (
     RATE,
-    Phases,
     check_sensor_alive,
+    common_base,
     phases_from_motion,
     phases_from_windows,
     resampled,
@@ -54,14 +55,18 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     (action, model), streams = _content(log, table, mapping, entry)
     delay = streams.delay(table, action) if delay is None or not table.separate else delay
     if delay is not None and delay.sure:
-        streams = streams.earlier(delay.seconds)
+        early = streams.wrench.time_s - delay.seconds
+        streams = replace(streams, wrench=streams.wrench._replace(time_s=early))
     wrench, velocity, joints = streams.wrench, streams.velocity, streams.joints
-    base = streams.base(table.longest_gap_s)
+    base = common_base(streams.needed, table.longest_gap_s)
     time, count, begin = np.arange(len(base)) / RATE, len(base), streams.epoch_s + float(base[0])
     position, hand = streams.tcp(table, base)
     twist = resampled(velocity, base) if velocity else differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
-    phase, segment = _phases(table, action, base - streams.begin_s, position[:, 2], twist)
+    if table.phases:
+        phase, segment = phases_from_windows(table.phases, base - streams.begin_s, table.sensor.zeroed)
+    else:
+        phase, segment = phases_from_motion(action, position[:, 2], twist, table.sensor.zeroed)
     check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]], table.sensor.measured)
     yaw, grip = np.zeros(count), np.zeros(2)  # of a push: its object is where the camera sees it
     if action.grasp is not None:
@@ -95,7 +100,11 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
             "log": log.name,
             **({"stretch": entry.stretch} if entry.stretch else {}),
             **({"sensor log": table.sensor.file} if table.sensor.file else {}),
-            **({"recorded": _moment(begin)} if _SINCE_1970[0] < begin < _SINCE_1970[1] else {}),
+            **(
+                {"recorded": datetime.fromtimestamp(begin, UTC).isoformat(timespec="milliseconds")}
+                if _SINCE_1970[0] < begin < _SINCE_1970[1]
+                else {}
+            ),
             "joints": "as logged" if joints else "not logged: zeros",
             "velocity": "as logged" if velocity else "from the pose",
             "phases": "as mapped" if table.phases else "from the motion",
@@ -181,13 +190,3 @@ def _action_and_object(table: Mapping, mapping: Path) -> tuple[Action, ObjectMod
         return action, model
     except InvalidValueError as error:
         raise InvalidValueError(error.field, error.given, error.allowed, file=mapping) from None
-
-
-def _moment(seconds: float) -> str:
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
-
-
-def _phases(table: Mapping, action: Action, time: np.ndarray, height: np.ndarray, twist: np.ndarray) -> Phases:
-    if table.phases:
-        return phases_from_windows(table.phases, time, table.sensor.zeroed)
-    return phases_from_motion(action, height, twist, table.sensor.zeroed)

@@ -29,6 +29,7 @@ from testbed.importers.phases import (
     STEADY_WITHIN,
     STILL,
     check_sensor_alive,
+    common_base,
     linear_stretches,
     resampled,
 )
@@ -124,7 +125,7 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     if wrong := [name for name in grasps if name not in names]:
         raise InvalidValueError("--grasps", wrong[0], f"some of {', '.join(names)}{nearest(wrong[0], names)}")
     streams = Streams.of(open_log(log, table), table, mapping.parent)
-    base = streams.base(table.longest_gap_s)
+    base = common_base(streams.needed, table.longest_gap_s)
     position, hand = streams.tcp(table, base)
     sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
     wrench = table.sensor.sign * resampled(streams.wrench, base) / gain

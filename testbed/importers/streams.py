@@ -68,8 +68,13 @@ class Streams:
         if table.sensor.torque_about == "tcp":
             lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
             wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
-        begin = max(one.time_s[0] for one in (wrench, pose[0], joints, velocity) if one is not None)
-        return cls(wrench, pose, joints, velocity, source.epoch_s, float(begin), left_out, seen)
+        streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, left_out, seen)
+        return replace(streams, begin_s=float(max(one.time_s[0] for one in streams.needed)))
+
+    @property
+    def needed(self) -> list[Series]:
+        """All series but the camera's: each covers a whole trial."""
+        return [one for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
 
     def within(self, from_s: float, to_s: float | None) -> Streams:
         """The same from one time to another after the first sample; None is the end.
@@ -79,8 +84,7 @@ class Streams:
         """
         if from_s == 0 and to_s is None:
             return self
-        ends = [one.time_s[-1] for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
-        seconds = min(ends) - self.begin_s
+        seconds = min(one.time_s[-1] for one in self.needed) - self.begin_s
         if max(from_s, to_s or 0.0) > seconds + 1 / RATE:
             given = f"{from_s:g} to {seconds if to_s is None else to_s:g} s"
             raise InvalidValueError("logs.from_s, to_s", given, f"within the log's {seconds:.2f} s")
@@ -98,11 +102,6 @@ class Streams:
         return replace(
             self, wrench=part(self.wrench), pose=pose, joints=part(self.joints), velocity=part(self.velocity)
         )
-
-    def base(self, longest_gap: float) -> np.ndarray:
-        """Times at 100 Hz that all of them cover [s]."""
-        series = (self.wrench, self.pose[0], self.joints, self.velocity)
-        return common_base([s for s in series if s is not None], longest_gap)
 
     def tcp(self, table: Mapping, base: np.ndarray) -> tuple[np.ndarray, Rotation]:
         """Position of the TCP [m], and orientation of the hand, at the base's times."""
@@ -139,15 +138,11 @@ class Streams:
             return Delay(table.sensor.delay_s, 0.0)
         if not table.separate or not action.accelerated:
             return None
-        base = self.base(table.longest_gap_s)
+        base = common_base(self.needed, table.longest_gap_s)
         position, hand = self.tcp(table, base)
         up = (hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)).inv().apply([0.0, 0.0, 1.0])
         torque = np.sum(resampled(self.wrench, base)[:, 3:] * up, axis=1)
         return wrench_delay(torque, position, hand, base)
-
-    def earlier(self, seconds: float) -> Streams:
-        """The same with the wrench's stamps earlier."""
-        return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
 
 
 def open_log(path: Path, table: Columns) -> Log:

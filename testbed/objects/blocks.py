@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,12 @@ def parse_layout(rows: list[str]) -> list[Cell]:
             "layout", f"{', '.join(apart)} apart from {cells[0].name}", "blocks joined edge to edge"
         )
     return cells
+
+
+def layout_of(cells: Collection[Cell]) -> list[str]:
+    """Drawn layout of blocks, as `parse_layout` takes it."""
+    columns, rows = (max(values) + 1 for values in zip(*cells, strict=True))
+    return ["".join("10"[Cell(c, r) not in cells] for c in range(columns)) for r in reversed(range(rows))]
 
 
 def neighbors(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:

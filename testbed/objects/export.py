@@ -15,7 +15,7 @@ import trimesh
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import Cell
+from testbed.objects.blocks import Cell, layout_of
 from testbed.objects.bodies import Box, Link, RigidBody, boxes_of, links_of
 from testbed.objects.chain import checked_torques
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -237,13 +237,11 @@ def to_object_file(exported: Exported) -> str:
         allowed = "an object of square blocks alike; of other parts heft needs their meshes: mjcf, urdf or sdf"
         raise InvalidValueError("--format", "toml", allowed)
     corner = np.min([box.center for box in boxes], axis=0)
-    places = [tuple(np.rint((box.center - corner)[:2] / size).astype(int).tolist()) for box in boxes]
-    order = sorted(range(len(boxes)), key=lambda i: (places[i][1], places[i][0]))
-    columns, rows = (max(place[axis] for place in places) + 1 for axis in (0, 1))
-    layout = ["".join("10"[(c, r) not in places] for c in range(columns)) for r in reversed(range(rows))]
+    places = [Cell(*np.rint((box.center - corner)[:2] / size).astype(int).tolist()) for box in boxes]
+    order = sorted(range(len(boxes)), key=lambda i: (places[i].row, places[i].column))
     own = [shape.mass_group == boxes[i].group for i in order]
     blocks = {
-        "layout": layout,
+        "layout": layout_of(places),
         "mass_kg": [boxes[i].mass for i in order],
         "friction": exported.distribution.friction.tolist(),
         "friction_group": [int(shape.friction_group[each].max()) for each in own],
@@ -254,12 +252,12 @@ def to_object_file(exported: Exported) -> str:
     if shape.chain is not None:
         of_box = shape.chain.link[[box.group for box in boxes]]
         for index, (at, torque) in enumerate(zip(shape.chain.hinges, exported.hinge_friction, strict=True)):
-            link = [Cell(*places[i]).name for i in order if of_box[i] == index + 1]
+            link = [places[i].name for i in order if of_box[i] == index + 1]
             hinges.append({"at_m": at.tolist(), "link": link, "friction_Nm": float(torque)})
     comment = "".join(f"# {line}\n" for line in exported.comment.splitlines())
     content: dict[str, Any] = {"name": exported.name, "blocks": blocks}
     if len(shape.feet):
-        under = {box.group: Cell(*place).name for box, place in zip(boxes, places, strict=True)}
+        under = {box.group: place.name for box, place in zip(boxes, places, strict=True)}
         of = shape.mass_group[shape.feet]
         places_of = {name: shape.particles[shape.feet[of == group]].tolist() for group, name in under.items()}
         content["feet"] = {"under_m": places_of}

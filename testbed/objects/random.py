@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import Cell, neighbors
+from testbed.objects.blocks import Cell, layout_of, neighbors
 from testbed.objects.files import Blocks, ObjectFile, Side
 from testbed.toml import Positive
 
@@ -45,13 +45,10 @@ class Family(BaseModel):
         """Object by its index; another `attempt` is another object, if the last one is not feasible."""
         rng = np.random.default_rng([self.seed, index, attempt])
         cells = _grown(int(rng.integers(self.blocks[0], self.blocks[1] + 1)), rng)
-        rows = max(cell.row for cell in cells) + 1
-        columns = max(cell.column for cell in cells) + 1
-        layout = ["".join("10"[Cell(c, r) not in cells] for c in range(columns)) for r in reversed(range(rows))]
         return ObjectFile(
             name=self.names()[index],
             blocks=Blocks(
-                layout=layout,
+                layout=layout_of(cells),
                 mass_kg=[float(m) for m in rng.choice(self.mass_kg, len(cells))],
                 friction=float(rng.uniform(self.friction[0], self.friction[1])),
                 size_m=self.size_m,

@@ -17,7 +17,7 @@ from jaxtyping import Int
 from trimesh.visual import ColorVisuals
 
 from testbed.files import read_file
-from testbed.objects.meshes import check_triangles
+from testbed.objects.meshes import check_triangles, joined
 from testbed.parsing.process import run_parser
 
 MOST_BYTES, MOST_FACES = 128 * 2**20, 1_000_000
@@ -35,17 +35,17 @@ def main(path: str, result: str) -> None:
     count = sum(len(piece.faces) for piece in pieces)
     if count > MOST_FACES:
         raise ValueError(f"{count} triangles, where {MOST_FACES} are the most")
-    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     for piece in pieces:
         check_triangles(piece)
     labels = np.concatenate([_colors(piece, index) for index, piece in enumerate(pieces)])
+    whole = joined(pieces)
     head = content[:4096].decode("ascii", "ignore").lower() if kind in ("ply", "obj") else ""
     said = re.search(r"(?:unit|length)[^\n]*?(millimet|centimet|met|inch)", head)
     with Path(result).open("wb") as file:
         np.savez(
             file,
-            vertices=np.vstack([piece.vertices for piece in pieces]).astype(float),
-            faces=np.vstack([piece.faces + start for piece, start in zip(pieces, starts[:-1], strict=True)]),
+            vertices=np.asarray(whole.vertices, dtype=float),
+            faces=np.asarray(whole.faces),
             labels=np.unique(labels, return_inverse=True, axis=0)[1].ravel(),
             unit=str(scene.units or ("meters" if kind == "glb" else said[1] if said else "")),
         )

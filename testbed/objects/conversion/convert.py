@@ -134,7 +134,7 @@ def convert_mesh(
         low, high = np.reshape(whole.bounding_box(), (2, 3))
         cell = max(cell, math.sqrt(np.prod(high[:2] - low[:2]) / MOST))  # a large object has larger ones
         cell = round(cell * 2000) / 2000 or CELL[0]
-    places, _, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
+    places, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:
         notes.append(f"no grasp: {refused or 'no two faces across from each other'}")
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem

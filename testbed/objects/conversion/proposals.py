@@ -11,7 +11,7 @@ from manifold3d import Manifold
 
 from testbed.errors import InvalidValueError
 from testbed.objects.grasps import GraspPlace, grasp_at
-from testbed.objects.model import FINGER_DEPTH, LEAST_FACE, PAD_HEIGHT, SPARE_OPENING, STROKE, Grasp
+from testbed.objects.model import FINGER_DEPTH, LEAST_FACE, PAD_HEIGHT, SPARE_OPENING, STROKE
 
 SPACING = 0.004
 """Distance of the outline's points from which grasps start [m]."""
@@ -31,7 +31,7 @@ LEAST_LENGTH = 0.004
 
 def propose_grasps(
     whole: Manifold, mesh: trimesh.Trimesh, middle: Float[np.ndarray, "2"], most: int
-) -> tuple[list[GraspPlace], list[Grasp], str]:
+) -> tuple[list[GraspPlace], str]:
     """Places where the gripper can take a body, spread over it, the first nearest its middle; and why none else.
 
     Args:
@@ -42,14 +42,13 @@ def propose_grasps(
     """
     if mesh.bounds[1, 2] < PAD_HEIGHT[0] + LEAST_FACE:
         given, least = mesh.bounds[1, 2] * 1e3, (PAD_HEIGHT[0] + LEAST_FACE) * 1e3
-        return [], [], f"{given:.1f} mm high, and the pads need {least:g} mm: another side down, or no grasp"
+        return [], f"{given:.1f} mm high, and the pads need {least:g} mm: another side down, or no grasp"
     pairs: dict[tuple[int, ...], tuple[np.ndarray, float]] = {}  # the most parallel of those that are alike
     for center, angle, _ in sorted(_pairs(whole, mesh), key=lambda pair: pair[2]):
         pairs[*np.round(center / ALIKE[0]).astype(int).tolist(), round(angle / ALIKE[1])] = center, angle
     centers = np.array([center for center, _ in pairs.values()]).reshape(-1, 2)
     angles = [angle for _, angle in pairs.values()]
     places: list[GraspPlace] = []
-    grasps: list[Grasp] = []
     refused = ""
     left = np.ones(len(centers), dtype=bool)
     while left.any() and len(places) < most and (~left).sum() < MOST_TRIED:
@@ -74,8 +73,7 @@ def propose_grasps(
             refused = f"faces {grasp.width * 1e3:.0f} mm apart and {grasp.length * 1e3:.0f} mm long"
         else:
             places.append(place)
-            grasps.append(grasp)
-    return places, grasps, refused
+    return places, refused
 
 
 def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray, float, float]]:

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.actions.path import minimum_jerk
+from testbed.importers.importer import import_trajectory
 from testbed.toml import toml_text
 from testbed.trajectory import Phase, Trajectory
 
@@ -104,6 +105,12 @@ def write_csv(path: Path, t: Trajectory, **more: Any) -> Path:
     table = pd.DataFrame({"stamp": 1e3 * (EPOCH + t.time_s), **columns(t), **more})
     table.to_csv(path, index=False)
     return path
+
+
+def import_csv(folder: Path, t: Trajectory, mapping: dict[str, Any] | None = None, **more: Any) -> Trajectory:
+    """A trajectory written as CSV, with more columns perhaps, and imported."""
+    asked = mapping_of(t) if mapping is None else mapping
+    return import_trajectory(write_csv(folder / "log.csv", t, **more), write_toml(folder / "map.toml", asked))
 
 
 def at_other_rates(t: Trajectory, sensor_hz: float, hand_hz: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -30,7 +30,8 @@ from testbed.sensing.windows import SteadyWindow
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
-from tests.fakes.lab_bench import EPOCH, mapping_of, phases_of, write_csv, write_toml
+from tests.fakes.lab_bench import EPOCH, import_csv, mapping_of, phases_of, write_csv, write_toml
+from tests.fakes.mcap_log import write_messages
 
 CAMERA = Rotation.from_euler("xyz", [170, 12, 40], degrees=True)
 """Camera over the table, that looks down on it."""
@@ -104,10 +105,6 @@ def mapping_with(t: Trajectory, name: str, parts: list[dict[str, Any]], **change
     return mapping_of(t, object=name, camera={**CAMERA_TABLE, "parts": parts} | changes)
 
 
-def bring(folder: Path, t: Trajectory, mapping: dict[str, Any]) -> Trajectory:
-    return import_trajectory(write_csv(folder / "log.csv", t), write_toml(folder / "map.toml", mapping))
-
-
 def same_frames(found: PoseStream | None, true: PoseStream | None) -> None:
     """Frames but for the stamps' rounding, and those that saw nothing."""
     assert found is not None
@@ -131,12 +128,12 @@ def same_windows(found: list[SteadyWindow], true: list[SteadyWindow]) -> None:
 def test_a_push_comes_back_with_the_object_where_the_camera_saw_it(push: Trajectory, tmp_path: Path):
     frames = write_frames(tmp_path / "frames.csv", push)
     mapping = mapping_with(push, "L2", [part_of(frames)])
-    found = bring(tmp_path, push, mapping)
+    found = import_csv(tmp_path, push, mapping)
     assert found.action == push.action
     same_frames(found.camera, push.camera)
     assert_allclose(found.object_pose, push.object_pose, atol=1e-6, rtol=0)
     assert len(push_windows(found)) == len(push_windows(push))  # by phases from the motion
-    found = bring(tmp_path, push, mapping | {"phases": phases_of(push)})
+    found = import_csv(tmp_path, push, mapping | {"phases": phases_of(push)})
     same_windows(push_windows(found), push_windows(push))
 
 
@@ -184,14 +181,14 @@ def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):
     mapping = mapping_with(cut, "L2", [part_of(write_frames(tmp_path / "frames.csv", cut))])
     assert "no tare" in refused(tmp_path, cut, mapping)
     mapping["sensor"]["zeroed"] = True
-    assert len(push_windows(bring(tmp_path, cut, mapping))) == len(push_windows(push))
+    assert len(push_windows(import_csv(tmp_path, cut, mapping))) == len(push_windows(push))
     start = float(push.time_s[begin])
     steady = [
         {"phase": "steady", "from_s": phase["from_s"] - start, "to_s": phase["to_s"] - start}
         for phase in phases_of(push)
         if phase["phase"] == "steady"
     ]
-    found = bring(tmp_path, cut, mapping | {"phases": steady})
+    found = import_csv(tmp_path, cut, mapping | {"phases": steady})
     assert not found.mask(Phase.TARE).any()
     same_windows(push_windows(found), push_windows(push))
 
@@ -199,7 +196,7 @@ def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):
 def test_each_log_may_name_its_frames(push: Trajectory, tmp_path: Path):
     mapping = mapping_with(push, "L2", [part_of(write_frames(tmp_path / "frames.csv", push)) | {"file": "none.csv"}])
     named = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv"]}]}
-    same_frames(bring(tmp_path, push, named).camera, push.camera)
+    same_frames(import_csv(tmp_path, push, named).camera, push.camera)
     several = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv", "frames.csv"]}]}
     assert "a file for each of 1 parts" in refused(tmp_path, push, several)
 
@@ -207,7 +204,7 @@ def test_each_log_may_name_its_frames(push: Trajectory, tmp_path: Path):
 def test_links_come_back_each_by_its_own_label(fold: Trajectory, tmp_path: Path):
     parts = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
     mapping = mapping_with(fold, str(FOLD), parts) | {"phases": phases_of(fold)}
-    found = bring(tmp_path, fold, mapping)
+    found = import_csv(tmp_path, fold, mapping)
     same_frames(found.camera, fold.camera)
     same_windows(link_windows(found), link_windows(fold))
     for one, other in zip(link_windows(found), link_windows(fold), strict=True):
@@ -222,36 +219,30 @@ def test_a_planar_pose_needs_three_columns(push: Trajectory, tmp_path: Path):
     pd.DataFrame({"stamp": stamp, "x": x, "y": y, "turn": yaw}).to_csv(tmp_path / "frames.csv")
     part = {"file": "frames.csv", "position": ["x", "y"], "orientation": ["turn"], "orientation_as": "yaw"}
     mapping = mapping_of(push, object="L2", camera={"parts": [part]})
-    same_frames(bring(tmp_path, push, mapping).camera, push.camera)
+    same_frames(import_csv(tmp_path, push, mapping).camera, push.camera)
 
 
 def test_labels_come_as_messages_and_as_a_tree(fold: Trajectory, tmp_path: Path):
     """An .mcap beside the table of the arm: a tree that knows where the camera is, and poses in the camera's frame."""
-    mcap = pytest.importorskip("mcap.writer")
     eye = {"header": {"frame_id": "base"}, "child_frame_id": "camera", "transform": transform(EYE, CAMERA)}
-    with (tmp_path / "seen.mcap").open("wb") as file:
-        writer = mcap.Writer(file)
-        writer.start()
-        tree = writer.register_schema("tf2_msgs/TFMessage", "jsonschema", b"{}")
-        pose = writer.register_schema("geometry_msgs/PoseStamped", "jsonschema", b"{}")
-        put(writer, writer.register_channel("/tf_static", "json", tree), 0.0, {"transforms": [eye]})
-        tf, label = (writer.register_channel(name, "json", kind) for name, kind in (("/tf", tree), ("/label", pose)))
-        for part, name in enumerate(LINKS):
-            for time, place, turned in zip(*labels(fold, part), strict=True):
-                header, at = {"stamp": stamp_of(time), "frame_id": "camera"}, transform(place, turned)
-                moved = {"header": header, "child_frame_id": name, "transform": at}
-                put(writer, tf, time, {"transforms": [moved]})
-                if name == "lower":
-                    at = {"position": at["translation"], "orientation": at["rotation"]}
-                    put(writer, label, time, {"header": header, "pose": at})
-        writer.finish()
+    tree, messages = "tf2_msgs/TFMessage", [message("/tf_static", "tf2_msgs/TFMessage", 0.0, {"transforms": [eye]})]
+    for part, name in enumerate(LINKS):
+        for time, place, turned in zip(*labels(fold, part), strict=True):
+            header, at = {"stamp": stamp_of(time), "frame_id": "camera"}, transform(place, turned)
+            moved = {"header": header, "child_frame_id": name, "transform": at}
+            messages.append(message("/tf", tree, time, {"transforms": [moved]}))
+            if name == "lower":
+                at = {"position": at["translation"], "orientation": at["rotation"]}
+                pose = {"header": header, "pose": at}
+                messages.append(message("/label", "geometry_msgs/PoseStamped", time, pose))
+    write_messages(tmp_path / "seen.mcap", messages)
     upper, lower = ({"file": "seen.mcap", "topic": "/tf", "frame": name, "time": {}, **LABELED} for name in LINKS)
     by_tree = {key: value for key, value in CAMERA_TABLE.items() if not key.startswith("in_base")}
     mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": [upper, lower]})
-    same_frames(bring(tmp_path, fold, mapping).camera, fold.camera)
-    message = {"file": "seen.mcap", "topic": "/label", "time": {}, **LABELED}
-    mapping = mapping_with(fold, str(FOLD), [upper | {"base": "camera"}, message])
-    same_frames(bring(tmp_path, fold, mapping).camera, fold.camera)
+    same_frames(import_csv(tmp_path, fold, mapping).camera, fold.camera)
+    label = {"file": "seen.mcap", "topic": "/label", "time": {}, **LABELED}
+    mapping = mapping_with(fold, str(FOLD), [upper | {"base": "camera"}, label])
+    same_frames(import_csv(tmp_path, fold, mapping).camera, fold.camera)
     parts = [upper, lower | {"frame": "lover"}]
     mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": parts})
     wrong = "camera.parts.1.frame: got 'lover'; allowed: one of camera, lower, upper (nearest: lower)"
@@ -270,14 +261,13 @@ def stamp_of(time: float) -> dict[str, int]:
     return {"sec": whole // 10**9, "nanosec": whole % 10**9}
 
 
-def put(writer: Any, channel: int, time: float, message: dict[str, Any]) -> None:
-    at = round((EPOCH + time) * 1e9)
-    writer.add_message(channel, at, json.dumps(message).encode(), at)
+def message(topic: str, kind: str, time: float, content: dict[str, Any]) -> tuple[str, str, int, bytes]:
+    return topic, kind, round((EPOCH + time) * 1e9), json.dumps(content).encode()
 
 
 def refused(folder: Path, t: Trajectory, mapping: dict[str, Any]) -> str:
     with pytest.raises(HeftError) as error:
-        bring(folder, t, mapping)
+        import_csv(folder, t, mapping)
     return str(error.value)
 
 

@@ -24,7 +24,7 @@ from testbed.sensing.series import interpolated
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
-from tests.fakes.lab_bench import at_other_rates, mapping_of, write_toml
+from tests.fakes.lab_bench import at_other_rates, mapping_of, phases_of, write_toml
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +34,6 @@ def turns() -> list[Trajectory]:
         compensate(draw_sensing(runner.run_clean(Trial(load_object("L2"), Accelerate(grasp))), preset("ft300s"), grasp))
         for grasp in (1, 3)
     ]
-
-
-def windows(turn: Trajectory) -> list[dict[str, Any]]:
-    """The [[phases]] of a turn."""
-    inside = [("tare", turn.phase == Phase.TARE), *(("steady", turn.segment == i) for i in range(8))]
-    ends = [(name, np.flatnonzero(which)[[0, -1]] / 100) for name, which in inside]
-    return [{"phase": n, "from_s": max(a - 0.005, 0.0), "to_s": b + 0.005} for n, (a, b) in ends]
 
 
 def written(folder: Path, turns: list[Trajectory], late: float, **sensor: Any) -> Path:
@@ -53,7 +46,7 @@ def written(folder: Path, turns: list[Trajectory], late: float, **sensor: Any) -
             folder / f"ft_{i}.csv", index=False
         )
         logs.append({"file": f"pose_{i}.csv", "sensor_file": f"ft_{i}.csv", "action": turn.action.to_dict()})
-        logs[-1]["phases"] = windows(turn)
+        logs[-1]["phases"] = phases_of(turn)
     mapping = mapping_of(turns[0], action=None, time={"column": "stamp"}, logs=logs)
     mapping["sensor"] |= {"time": {"column": "us", "unit": "us"}} | sensor
     return write_toml(folder / "map.toml", mapping)

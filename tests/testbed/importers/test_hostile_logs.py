@@ -8,21 +8,16 @@ from testbed.importers.columns import Columns, TimeMap
 from testbed.importers.logs import LogError
 from testbed.importers.messages import open_messages
 from testbed.importers.tables import TableLog
+from tests.fakes.mcap_log import write_messages
 
-writer = pytest.importorskip("mcap.writer")
+pytest.importorskip("mcap.writer")
 pytestmark = pytest.mark.own_process
 
 
 def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
     """MCAP file of ROS 2 messages of this definition."""
-    with path.open("wb") as file:
-        log = writer.Writer(file)
-        log.start(profile="ros2")
-        channel = log.register_channel("/wrench", "cdr", log.register_schema(kind, encoding, definition.encode()))
-        for i in range(3):
-            log.add_message(channel, 10**18 + i, b"\0\1\0\0" + b"\0" * 64, 10**18 + i)
-        log.finish()
-    return path
+    messages = (("/wrench", kind, 10**18 + i, b"\0\1\0\0" + b"\0" * 64) for i in range(3))
+    return write_messages(path, messages, "cdr", (encoding, definition.encode()))
 
 
 @pytest.mark.parametrize(
@@ -54,13 +49,7 @@ def test_comments_and_bounds_of_a_definition_are_no_brackets(tmp_path: Path):
 
 
 def test_a_small_file_of_large_messages_is_refused(tmp_path: Path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as file:
-        log = writer.Writer(file, compression=writer.CompressionType.ZSTD)
-        log.start()
-        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
-        log.add_message(channel, 1, b'{"a":"' + b"a" * 2**21 + b'"}', 1)
-        log.finish()
+    path = write_messages(tmp_path / "log.mcap", [("/all", "x", 1, b'{"a":"' + b"a" * 2**21 + b'"}')])
     assert path.stat().st_size < 10_000
     with pytest.raises(LogError, match=r"topic /all, message 0: got 2 MiB; allowed: at most 1 MiB"):
         open_messages(path).messages("/all")
@@ -68,27 +57,15 @@ def test_a_small_file_of_large_messages_is_refused(tmp_path: Path):
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_json_of_any_encoding_and_layout_is_read(encoding: str, tmp_path: Path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as file:
-        log = writer.Writer(file)
-        log.start()
-        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
-        for text in ('{"a": "\u00e9"}', '{\n\t"a":\t"\u00e9"\n}'):
-            log.add_message(channel, 1, text.encode(encoding), 1)
-        log.finish()
+    texts = '{"a": "\u00e9"}', '{\n\t"a":\t"\u00e9"\n}'
+    path = write_messages(tmp_path / "log.mcap", (("/all", "x", 1, text.encode(encoding)) for text in texts))
     assert [message.content for message in open_messages(path).messages("/all")] == [{"a": "\u00e9"}] * 2
 
 
 @pytest.mark.slow
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as file:
-        log = writer.Writer(file, compression=writer.CompressionType.ZSTD, chunk_size=3 << 30)
-        log.start()
-        channel = log.register_channel("/all", "json", log.register_schema("x", "jsonschema", b"{}"))
-        for i in range(10):
-            log.add_message(channel, i, b'{"a":"' + b"a" * (100 << 20) + b'"}', i)
-        log.finish()
+    messages = (("/all", "x", i, b'{"a":"' + b"a" * (100 << 20) + b'"}') for i in range(10))
+    path = write_messages(tmp_path / "log.mcap", messages, chunk_size=3 << 30)
     with pytest.raises(LogError, match="more than 1 GiB of memory"):
         open_messages(path)
 

@@ -25,7 +25,18 @@ from testbed.sensing.windows import steady_windows
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
-from tests.fakes.lab_bench import EPOCH, at_other_rates, columns, mapping_of, write_csv, write_joined_csv, write_toml
+from tests.fakes.lab_bench import (
+    EPOCH,
+    at_other_rates,
+    columns,
+    import_csv,
+    mapping_of,
+    phases_of,
+    write_csv,
+    write_joined_csv,
+    write_toml,
+)
+from tests.fakes.mcap_log import write_messages
 
 TURN = Rotate(2, duration=2.0, pivot=(-0.0333, 0.025), back=True)
 
@@ -42,12 +53,6 @@ def turn() -> Trajectory:
 @pytest.fixture(scope="module")
 def slide() -> Trajectory:
     return simulated(Slide(1, direction=0.4, duration=2.0))
-
-
-def import_csv(folder: Path, original: Trajectory, mapping: dict[str, Any] | None = None, **more: Any) -> Trajectory:
-    """A trajectory written as CSV, with more columns perhaps, and imported."""
-    asked = mapping_of(original) if mapping is None else mapping
-    return import_trajectory(write_csv(folder / "log.csv", original, **more), write_toml(folder / "map.toml", asked))
 
 
 @pytest.fixture(scope="module")
@@ -135,18 +140,11 @@ def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path:
 
 def test_phases_can_be_given(tmp_path: Path):
     original = simulated(Accelerate(1))
-    path, windows = write_csv(tmp_path / "log.csv", original), []
-    for phase, inside in [
-        ("tare", original.phase == Phase.TARE),
-        *[("steady", original.segment == i) for i in range(original.segment.max() + 1)],
-    ]:
-        at = np.flatnonzero(inside)
-        windows.append({"phase": phase, "from_s": max(at[0] / 100 - 0.005, 0.0), "to_s": at[-1] / 100 + 0.005})
-    given = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(original, phases=windows)))
+    given = import_csv(tmp_path, original, mapping_of(original, phases=phases_of(original)))
     assert np.array_equal(given.segment, original.segment)
     windows_agree(given, original, 0.05)
     with pytest.raises(LogError, match=r"\[\[phases\]\]"):
-        import_trajectory(path, write_toml(tmp_path / "none.toml", mapping_of(original)))
+        import_csv(tmp_path, original)
 
 
 @pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(100.0, 40.0), (62.5, 100.0), (1000.0, 500.0)])
@@ -158,29 +156,17 @@ def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz:
     windows_agree(found, turn, 0.03)
 
 
-def write_mcap(
-    path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: str = "json", plain: bool = False
-) -> Path:
-    pytest.importorskip("mcap")
-    from mcap.writer import CompressionType, Writer  # noqa: PLC0415  an extra
-
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE if plain else CompressionType.ZSTD)
-        writer.start()
-        rows = []
-        for topic, table in (("/ft", sensor), ("/arm", hand)):
-            channel = writer.register_channel(topic, encoding, writer.register_schema(topic, "jsonschema", b"{}"))
-            for row in table.to_dict("records"):
-                fields: dict[str, Any] = {str(name): float(value) for name, value in row.items()}
-                stamp = 1_767_225_600_000_000_000 + round(1e9 * fields.pop("stamp"))
-                if topic == "/ft":
-                    force, torque = {a: fields[f"f{a}"] for a in "xyz"}, [fields[f"t{a}"] for a in "xyz"]
-                    fields = {"frame": "sensor", "wrench": {"force": force, "torque": torque}}
-                rows.append((stamp, channel, fields))
-        for stamp, channel, data in sorted(rows, key=lambda r: r[0]):
-            writer.add_message(channel, stamp, json.dumps(data).encode(), stamp)
-        writer.finish()
-    return path
+def write_mcap(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame, encoding: str = "json", **options: Any) -> Path:
+    rows = []
+    for topic, table in (("/ft", sensor), ("/arm", hand)):
+        for row in table.to_dict("records"):
+            fields: dict[str, Any] = {str(name): float(value) for name, value in row.items()}
+            stamp = 1_767_225_600_000_000_000 + round(1e9 * fields.pop("stamp"))
+            if topic == "/ft":
+                force, torque = {a: fields[f"f{a}"] for a in "xyz"}, [fields[f"t{a}"] for a in "xyz"]
+                fields = {"frame": "sensor", "wrench": {"force": force, "torque": torque}}
+            rows.append((topic, topic, stamp, json.dumps(fields).encode()))
+    return write_messages(path, sorted(rows, key=lambda row: row[2]), encoding, **options)
 
 
 def of_mcap(turn: Trajectory) -> dict[str, Any]:
@@ -356,7 +342,9 @@ def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_
 
 
 def test_a_damaged_mcap_is_refused_wherever_it_is_hit(turn: Trajectory, tmp_path: Path):
-    path, mapping = write_mcap(tmp_path / "log.mcap", *at_other_rates(turn, 100.0, 40.0), plain=True), of_mcap(turn)
+    plain = pytest.importorskip("mcap.writer").CompressionType.NONE
+    path = write_mcap(tmp_path / "log.mcap", *at_other_rates(turn, 100.0, 40.0), compression=plain)
+    mapping = of_mcap(turn)
     content = path.read_bytes()
     at = [found.start() for found in re.finditer(rb'"force": \{"x": -?\d', content)]
     for begin in at[:: len(at) // 5]:

@@ -19,6 +19,7 @@ from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import MessageLog, open_messages
 from testbed.importers.poses import hand_pose
 from testbed.trajectory import Trajectory
+from tests.fakes.mcap_log import write_messages
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 from mcap.reader import make_reader  # noqa: E402  an extra
@@ -209,17 +210,18 @@ def test_poses_and_odometry(bench: Bench, as_csv: Trajectory, tmp_path: Path):
 
 def test_messages_in_json(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     """As Foxglove and others write them: the types by name, the stamps in two parts."""
-    with (tmp_path / "log.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for topic, kind, stamps, of in (
-            ("/ft", "geometry_msgs/WrenchStamped", bench.sensed, bench.wrench_message),
-            ("/pose", "geometry_msgs/msg/PoseStamped", bench.stamps, bench.pose_message),
-        ):
-            channel = writer.register_channel(topic, "json", writer.register_schema(kind, "jsonschema", b"{}"))
-            for i, at in enumerate(stamps.tolist()):
-                writer.add_message(channel, at, json.dumps(plain(of(i))).encode(), at)
-        writer.finish()
+    streams = (
+        ("/ft", "geometry_msgs/WrenchStamped", bench.sensed, bench.wrench_message),
+        ("/pose", "geometry_msgs/msg/PoseStamped", bench.stamps, bench.pose_message),
+    )
+    write_messages(
+        tmp_path / "log.mcap",
+        (
+            (topic, kind, at, json.dumps(plain(of(i))).encode())
+            for topic, kind, stamps, of in streams
+            for i, at in enumerate(stamps.tolist())
+        ),
+    )
     same(imported(tmp_path / "log.mcap", 'topic = "/pose"'), as_csv)
 
 

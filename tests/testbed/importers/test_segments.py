@@ -23,7 +23,7 @@ from testbed.importers.phases import linear_stretches, phases_from_motion
 from testbed.importers.segments import Segment, find_segments
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
-from tests.fakes.lab_bench import columns, entry_of, mapping_of, strung, write_csv, write_toml
+from tests.fakes.lab_bench import columns, entry_of, import_csv, mapping_of, strung, write_csv, write_toml
 
 SHAPE = load_block("L2-own_weight").model.shape
 NOISE = 1e-5
@@ -244,7 +244,7 @@ def mapped(turn: Trajectory, wrench: str, pose: str, time: dict[str, Any]) -> di
 
 def as_csv(folder: Path, turn: Trajectory) -> Trajectory:
     folder.mkdir()
-    return import_trajectory(write_csv(folder / "log.csv", turn), write_toml(folder / "map.toml", mapping_of(turn)))
+    return import_csv(folder, turn)
 
 
 def same(found: Trajectory, expected: Trajectory, tolerance: float = 1e-12) -> None:

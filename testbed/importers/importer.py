@@ -138,7 +138,7 @@ def _entry_table(log: Path, mapping: Path, entry: LogMap | None) -> tuple[Mappin
     whole = load_toml(mapping, Mapping)
     if whole.rows == "poses":
         raise InvalidValueError("rows", "poses", "samples: rows of poses are for heft calibrate", file=mapping)
-    entry = entry or whole.entry(log, mapping.parent)
+    (entry,) = [entry] if entry else whole.entries(log, mapping.parent)
     return *calibrated(whole.for_entry(entry), mapping), entry
 
 

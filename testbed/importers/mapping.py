@@ -152,17 +152,6 @@ class Mapping(Columns):
                 raise InvalidValueError("logs.file", given, allowed)
         return named or [LogMap(file=str(log))]
 
-    def entry(self, log: Path, folder: Path) -> LogMap:
-        """The [[logs]] table of a log that is one trial.
-
-        Raises:
-            InvalidValueError: it has several.
-        """
-        found = self.entries(log, folder)
-        if len(found) > 1:
-            raise InvalidValueError("entry", None, f"one of the {len(found)} [[logs]] tables of {log}")
-        return found[0]
-
     def for_entry(self, own: LogMap) -> Mapping:
         """Mapping of one trial."""
         changes: dict[str, Any] = {"action": own.action, "phases": own.phases, "where": self.where | own.where}

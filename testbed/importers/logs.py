@@ -68,14 +68,13 @@ def read_all(*reads: Callable[[], Any]) -> list[Any]:
 
 
 @contextmanager
-def parsed_log(module: str, path: Path, what: str, package: str, *words: str) -> Iterator[Path]:
+def parsed_log(module: str, path: Path, what: str, *words: str) -> Iterator[Path]:
     """Result of a parser of a log in a process of its own, a file that is deleted on exit.
 
     Args:
         module: parser.
         path: log.
         what: kind of log, in errors.
-        package: package that reads it, where the parser names none.
         words: further arguments of the parser.
 
     Raises:
@@ -85,8 +84,7 @@ def parsed_log(module: str, path: Path, what: str, package: str, *words: str) ->
         with parsed(module, path.absolute(), *words) as found:
             yield found
     except ImportError as error:
-        needed = str(error).partition(".")[0] or package
-        allowed = f"{needed}: not installed; pip install 'heft-testbed[robot]'"
+        allowed = f"{str(error).partition('.')[0]}: not installed; pip install 'heft-testbed[robot]'"
         raise LogError(f"{path}: reading {what} needs {allowed}") from None
     except ParserError as error:
         raise LogError(f"{path}: {error}") from None

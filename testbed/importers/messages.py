@@ -127,10 +127,8 @@ def open_messages(path: Path) -> MessageLog:
     Raises:
         LogError: no whole file of its kind, one that no recorder writes, or a package is not installed.
     """
-    is_mcap = path.suffix == ".mcap"
-    what, package = ("an MCAP file", "mcap") if is_mcap else ("a ROS 2 bag", "rosbags")
-
-    result = partial(parsed_log, "testbed.parsing.logs", path, what, package)
+    what = "an MCAP file" if path.suffix == ".mcap" else "a ROS 2 bag"
+    result = partial(parsed_log, "testbed.parsing.logs", path, what)
     with result() as found:
         topics = json.loads(found.read_bytes())
 

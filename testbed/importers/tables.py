@@ -200,7 +200,7 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
 
 def _arrays(path: Path) -> tuple[list[str], Callable[[int], pd.Series]]:
     """Names of the columns of a Parquet or HDF5 file, and the values of each."""
-    with parsed_log("testbed.parsing.tables", path, "an HDF5 file", "h5py") as found, np.load(found) as arrays:
+    with parsed_log("testbed.parsing.tables", path, "an HDF5 file") as found, np.load(found) as arrays:
         names = [str(name) for name in arrays["names"]]
         columns = [arrays[f"column_{i}"] for i in range(len(names))]
     return names, lambda column: pd.Series(columns[column])

@@ -107,7 +107,7 @@ def refusal(main: Callable[..., None], words: Sequence[str]) -> str:
     except MemoryError:
         return "MemoryError"
     except ImportError as error:
-        return f"ImportError: {error.name}"
+        return f"ImportError: {error.name or error}"
     except OSError as error:
         full = error.errno == errno.EFBIG and error.filename is None  # of the result, not of a file that is read
         return "OutputError" if full else f"refused: {error.strerror or error}"

@@ -106,6 +106,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         made: date.
     """
     c = calibration
+    scaled = c.gain_std.any() or (c.gain != 1).any()
     fields = {
         "sensor": sensor,
         "made": made,
@@ -122,7 +123,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         "tool_com_std_m": c.com_std.tolist(),
         "misfit": c.misfit,
         "poses": c.poses,
-        **({"gain": c.gain.tolist(), "gain_std": c.gain_std.tolist()} if c.gain_std.any() or (c.gain != 1).any() else {}),
+        **({"gain": c.gain.tolist(), "gain_std": c.gain_std.tolist()} if scaled else {}),
         **({"bias_walk": c.bias_walk.tolist()} if c.bias_walk.any() else {}),
         **({"gravity": c.gravity} if c.gravity != GRAVITY else {}),
     }

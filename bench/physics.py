@@ -16,6 +16,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
@@ -23,7 +24,6 @@ from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
-from estimators.testing.analytic_links import drawn_chain
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
 from scenarios.catalog import LIBRARY
@@ -46,6 +46,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
+from tests.fakes.analytic_links import drawn_chain  # pyright: ignore[reportMissingImports]
 
 TOOLS = ("hammer", "wrench")
 HINGED = ("shears", "folding_rule", "saw")

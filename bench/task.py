@@ -30,8 +30,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.testing.analytic_push import drag_of
 from scenarios.cli.main import main as heft
 from scenarios.results.estimates import load_results
 from testbed.actions.lift import Lift
@@ -44,6 +44,7 @@ from testbed.objects.model import PAD_WIDTH, Grasp, MassDistribution, ObjectMode
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
+from tests.fakes.analytic_push import drag_of  # pyright: ignore[reportMissingImports]
 
 FORCES = (30.0, 60.0, 120.0)
 """Grip forces [N]."""

@@ -14,8 +14,6 @@ from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.registry import build_method
-from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.testing.recorded import load_block
 from estimators.wrench.model import RIGID, ModelErrors
@@ -33,6 +31,8 @@ from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import shown_in_the_air
 from tests.helpers.runs import quiet

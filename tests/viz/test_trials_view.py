@@ -9,8 +9,6 @@ import pytest
 from matplotlib.patches import FancyArrowPatch
 from numpy.testing import assert_allclose
 
-from estimators.testing.analytic_links import analytic_links
-from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import drawn_object
 from scenarios.views.values import wrench_fit
 from testbed.actions.push import Push
@@ -22,6 +20,8 @@ from testbed.objects.model import ObjectModel
 from testbed.sensing.push_windows import contact_path, push_samples, push_windows
 from testbed.simulation.rendering import body_poses
 from testbed.trajectory import Trajectory
+from tests.fakes.analytic_links import analytic_links
+from tests.fakes.analytic_push import analytic_pushes
 from tests.helpers.chunks import Entity, read_chunks, verify
 from tests.viz.test_report import row
 from viz.figures.trials import trials_figure

@@ -11,7 +11,6 @@ from estimators.action_selection.plan import Goal
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.posterior.estimator import Bayes
-from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
@@ -22,6 +21,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
+from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
 
 

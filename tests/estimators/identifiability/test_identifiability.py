@@ -26,8 +26,6 @@ from estimators.identifiability.information import (
 from estimators.identifiability.report import identifiability
 from estimators.identifiability.trailing import trailing_motions
 from estimators.posterior import table_errors
-from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, drawn_object, own_weight_loads, turns
 from estimators.wrench.weighing import Weighing
 from scenarios.cli.main import main
@@ -47,6 +45,8 @@ from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
+from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.fakes.analytic_push import analytic_pushes
 from viz.figures.maps import error_figure
 
 NAMES = ("I1", "I2", "L1", "L2", "F1", "F2")

@@ -13,11 +13,11 @@ from estimators.learned.examples import fixed_axes, make_examples
 from estimators.learned.question import MISFIT, MISFIT_OF_INERTIA, SUMMARY
 from estimators.registry import code_of
 from estimators.testing.analytic_lab import LAB, drawn
-from estimators.testing.analytic_links import drawn_chain
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE
 from testbed.actions.slide import Slide
 from testbed.files import DamagedFileError
+from tests.fakes.analytic_links import drawn_chain
 from tests.helpers.lab import SEED, lab_trials, renamed
 
 pytest.importorskip("zuko", reason="needs the extra learned")

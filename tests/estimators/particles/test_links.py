@@ -20,7 +20,6 @@ from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.priors import priors
 from estimators.registry import METHODS, build_method
-from estimators.testing.analytic_links import analytic_links, drawn_chain
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight_loads
@@ -41,6 +40,7 @@ from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
 from testbed.worlds.setup_errors import SetupErrors
+from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.helpers.blocks import blocks
 
 slow = pytest.mark.slow

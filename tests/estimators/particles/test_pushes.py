@@ -13,7 +13,6 @@ from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.posterior import table_errors
 from estimators.registry import build_method
-from estimators.testing.analytic_push import analytic_pushes, drag_of, steady_pushes
 from estimators.testing.analytic_world import drawn_object
 from estimators.wrench.model import ParticleModel
 from testbed.actions.push import Push
@@ -21,6 +20,7 @@ from testbed.errors import InvalidValueError
 from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.push_windows import WINDOW, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
+from tests.fakes.analytic_push import analytic_pushes, drag_of, steady_pushes
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 """2 x 3 blocks of known masses, which no hand can grip across."""

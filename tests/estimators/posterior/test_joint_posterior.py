@@ -26,8 +26,6 @@ from estimators.posterior.scale import Scale
 from estimators.posterior.solver import Linearized, solve
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.testing.analytic_lab import drawn
-from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.testing.analytic_push import analytic_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
@@ -39,6 +37,8 @@ from testbed.actions.slide import Slide
 from testbed.objects.faces import faces
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
+from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
 from tests.helpers.lab import lab_trials
 

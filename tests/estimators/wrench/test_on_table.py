@@ -15,8 +15,6 @@ from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior.on_table import OnTable
 from estimators.registry import build_method
-from estimators.testing.analytic_links import analytic_links, drawn_chain
-from estimators.testing.analytic_push import analytic_pushes, steady_pushes
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
@@ -31,6 +29,8 @@ from testbed.sensing.compensation import SIDEWAYS
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
+from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.fakes.analytic_push import analytic_pushes, steady_pushes
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, on_plastic
 
 OBJECT, CHAIN = drawn_object(0), drawn_chain(1)

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 import scenarios
 from estimators.inertial.body import InertialParameters
 from estimators.particles.wrench import predicted_wrenches
-from estimators.testing.analytic_links import drawn_chain
 from estimators.testing.analytic_world import drawn_object, turns
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_rows
@@ -34,6 +33,7 @@ from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.trial import Trial
+from tests.fakes.analytic_links import drawn_chain
 
 FREE = '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="{}"/></joint></robot>'
 """A URDF's root is part of MuJoCo's world unless it floats in it."""

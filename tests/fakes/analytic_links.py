@@ -72,7 +72,7 @@ def analytic_links(
     return _record(chained, action, solved.t, solved.y.T, each)
 
 
-def drawn_chain(seed: int, *, most_hinge_friction: float = 0.015) -> ObjectModel:
+def drawn_chain(seed: int) -> ObjectModel:
     """A bar of two or three links, of one to three blocks each, with random masses and frictions."""
     rng = np.random.default_rng(seed)
     blocks = rng.integers(1, 4, int(rng.integers(2, 4)))
@@ -89,7 +89,7 @@ def drawn_chain(seed: int, *, most_hinge_friction: float = 0.015) -> ObjectModel
     )
     hinges = (np.cumsum(blocks)[:-1] - count / 2) * size
     chain = Chain(np.repeat(np.arange(len(blocks)), blocks), np.column_stack([hinges, np.zeros(len(hinges))]))
-    torques = rng.uniform(0, most_hinge_friction, len(hinges))
+    torques = rng.uniform(0, 0.015, len(hinges))
     return replace(bar, shape=replace(bar.shape, chain=chain), hinge_friction=tuple(torques.tolist()))
 
 

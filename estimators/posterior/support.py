@@ -58,11 +58,6 @@ class SupportTest:
     """Posterior with springs between the groups, where neither model holds and springs explain the trials."""
 
     @property
-    def violated(self) -> bool:
-        """True if own weight is refuted: the status `assumption_violated`."""
-        return self.kind in ("rigid", "between")
-
-    @property
     def diagnostics(self) -> dict[str, float]:
         """Entries of `Estimate.diagnostics`."""
         return {name: getattr(self, name) for name in EVIDENCE}

@@ -34,6 +34,8 @@ from tests.helpers.blocks import blocks
 SUPPORTS: tuple[SupportModel, ...] = "own_weight", "rigid"
 NOISE = 0.02
 """Noise of a sample [N], and a tenth of it in N m."""
+REFUTED = ("rigid", "between")
+"""Findings that refute own weight."""
 MATERIALS = (0.1, 0.4)
 """Masses of the library's blocks, kg."""
 
@@ -78,11 +80,10 @@ def test_the_support_is_found_with_and_without_acceleration(name, rigid):
     obj = load_object(name)
     test = decided(obj, data(obj, rigid=rigid))
     assert test.kind == ("rigid" if rigid else "own_weight")
-    assert test.violated == rigid
     assert abs(test.rigid_share - rigid) < 3 * test.rigid_share_error < 1
     assert ("rigid" in test.sentence.split("(")[0]) == rigid
     steady = decided(obj, turns(obj, rigid=rigid, noise=NOISE))
-    assert steady.violated == rigid
+    assert (steady.kind in REFUTED) == rigid
 
 
 @pytest.mark.slow
@@ -90,7 +91,7 @@ def test_the_support_is_found_with_and_without_acceleration(name, rigid):
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_it_is_found_for_other_objects_with_two_friction_groups(seed, rigid):
     obj = drawn_object(seed, friction_groups=1 + seed % 2)
-    assert decided(obj, data(obj, rigid=rigid)).violated == rigid
+    assert (decided(obj, data(obj, rigid=rigid)).kind in REFUTED) == rigid
 
 
 @pytest.mark.slow
@@ -119,7 +120,7 @@ def test_the_share_of_springs_in_the_loads_is_found_within_its_error(share):
 def test_springs_that_push_groups_apart_refuse_own_weight_and_are_no_answer():
     obj = drawn_object(5)
     test = decided(obj, data(obj, rigid=False, springs=-0.2 / mean_work(obj)))
-    assert test.violated and test.shared is None
+    assert test.kind in REFUTED and test.shared is None
     assert test.rigid_share < -3 * test.rigid_share_error
 
 

@@ -99,7 +99,8 @@ class Bodies:
 
 
 def solved(bodies: Bodies, guess: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity (B, 3), impulses, and impulses over their bounds, both (B, L); `guess` as in `solve_step`.
+    """Velocity (B, 3), impulses, and impulses over their bounds, both (B, L); `guess` is the last of
+    these in a similar step: it saves work if its sticking set is nearly right.
 
     Raises:
         LcpError: no solution.

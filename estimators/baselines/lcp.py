@@ -36,18 +36,6 @@ from testbed.errors import InvalidValueError
 from testbed.validation import check_integer
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """A solved step: B bodies, L dry frictions each."""
-
-    velocity: Float[Tensor, "B 3"]
-    """v after the step [m/s, rad/s]."""
-    impulse: Float[Tensor, "B L"]
-    """f of every side [N s]; it acts on the body with -lines^T f."""
-    used: Float[Tensor, "B L"]
-    """f over its bound, -1 to 1; inside, the side sticks. Serves as guess for a similar step."""
-
-
 def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
     """Sides of the regular polygon with `directions` corners on the unit circle, one of each parallel pair, halved.
 
@@ -59,33 +47,6 @@ def polygon_sides(directions: int) -> Float[Tensor, "{directions//2} 2"]:
     angle = torch.arange(directions // 2, dtype=torch.float64) * (2 * math.pi / directions)
     along = angle + math.pi / directions + math.pi / 2
     return math.sin(math.pi / directions) * torch.stack([along.cos(), along.sin()], -1)
-
-
-def solve_step(
-    mass: Float[Tensor, "B 3 3"],
-    momentum: Float[Tensor, "B 3"],
-    arms: Float[Tensor, "B F 2"],
-    bound: Float[Tensor, "B F"],
-    directions: int,
-    guess: Float[Tensor, "B F*J"] | None = None,
-) -> Step:
-    """min_v 1/2 v^T mass v - momentum . v + sum_ij bound_i |line_ij . v|, for B bodies at once, without gradient.
-
-    Args:
-        mass: M, positive definite.
-        momentum: M v_before + h u [N s, N m s].
-        arms: place of each foot from the center of mass, turned by 90 degrees [m]: J_i = [1, arm_i].
-        bound: largest impulse c_i of each foot [N s], >= 0.
-        directions: corners of the polygon; line_ij = (e_j, e_j . arm_i) for its J sides e_j.
-        guess: `used` of a similar step; it saves work if its sticking set is nearly right.
-
-    Raises:
-        LcpError: no solution.
-    """
-    m, q, at, most = (x.detach().numpy() for x in (mass, momentum, arms, bound))
-    e = polygon_sides(directions).numpy()
-    bodies = Bodies(m, q, np.concatenate([at, np.ones_like(at[..., :1])], -1), e, bounds_of(most, len(e)))
-    return Step(*map(torch.from_numpy, solved(bodies, None if guess is None else guess.detach().numpy())))
 
 
 class _Advance(torch.autograd.Function):

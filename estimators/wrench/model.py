@@ -273,26 +273,6 @@ def step(pose: Tensor, velocity: Tensor, accelerations: Tensor, dt: float) -> tu
     return pose + velocity * dt, velocity + accelerations * dt
 
 
-def rollout(
-    model: ParticleModel,
-    inertia: Inertia,
-    friction: Float[Tensor, "... T P"],
-    pose: Float[Tensor, "... 3"],
-    velocity: Float[Tensor, "... 3"],
-    wrench: Float[Tensor, "... T 3"],
-    grasp: Float[Tensor, "... 2"],
-    dt: float,
-) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
-    """Open loop over T wrenches: poses and velocities after each step. Friction is mu_i N_i at each step, N."""
-    poses, velocities = [], []
-    for t in range(wrench.shape[-2]):
-        a = acceleration(model, inertia, friction[..., t, :], pose, velocity, wrench[..., t, :], grasp)
-        pose, velocity = step(pose, velocity, a, dt)
-        poses.append(pose)
-        velocities.append(velocity)
-    return torch.stack(poses, -2), torch.stack(velocities, -2)
-
-
 def one_step(
     model: ParticleModel,
     inertia: Inertia,

@@ -1,4 +1,4 @@
-"""The time step of `estimators.baselines.lcp` as the textbook's complementarity problem, a solver of it, and rollouts.
+"""The time step of `estimators.baselines.lcp` by itself and as the textbook's problem, a solver of that, and rollouts.
 
 Unknown are the impulse beta_ik along each corner d_k of each contact's friction polygon and its sliding speed lambda_i:
 z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Potra 1997; Cline 2002).
@@ -12,8 +12,11 @@ import numpy as np
 import scipy.linalg
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
-from estimators.baselines.lcp import LcpEngine
+from estimators.baselines.dry_friction import Bodies, bounds_of, solved
+from estimators.baselines.lcp import LcpEngine, polygon_sides
+from estimators.wrench.model import Inertia, ParticleModel, acceleration, step
 
 MOST_ITERATIONS = 100
 
@@ -122,7 +125,7 @@ def _reach(z: np.ndarray, dz: np.ndarray, w: np.ndarray, dw: np.ndarray) -> floa
 
 
 def rollout(engine: LcpEngine, model, inertia, friction, pose, velocity, wrench, grasp, dt: float):
-    """Poses and velocities after each of T wrenches in open loop; arguments as in `particles.model.rollout`."""
+    """Poses and velocities after each of T wrenches in open loop; arguments as in `explicit_rollout`."""
     poses, velocities, guesses = [], [], []
     for t in range(wrench.shape[-2]):
         ends = (wrench[..., t, :], wrench[..., min(t + 1, wrench.shape[-2] - 1), :])
@@ -130,3 +133,62 @@ def rollout(engine: LcpEngine, model, inertia, friction, pose, velocity, wrench,
         poses.append(pose)
         velocities.append(velocity)
     return torch.stack(poses, -2), torch.stack(velocities, -2)
+
+
+def explicit_rollout(
+    model: ParticleModel,
+    inertia: Inertia,
+    friction: Float[Tensor, "... T P"],
+    pose: Float[Tensor, "... 3"],
+    velocity: Float[Tensor, "... 3"],
+    wrench: Float[Tensor, "... T 3"],
+    grasp: Float[Tensor, "... 2"],
+    dt: float,
+) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
+    """Open loop over T wrenches: poses and velocities after each step. Friction is mu_i N_i at each step, N."""
+    poses, velocities = [], []
+    for t in range(wrench.shape[-2]):
+        a = acceleration(model, inertia, friction[..., t, :], pose, velocity, wrench[..., t, :], grasp)
+        pose, velocity = step(pose, velocity, a, dt)
+        poses.append(pose)
+        velocities.append(velocity)
+    return torch.stack(poses, -2), torch.stack(velocities, -2)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A solved step: B bodies, L dry frictions each."""
+
+    velocity: Float[Tensor, "B 3"]
+    """v after the step [m/s, rad/s]."""
+    impulse: Float[Tensor, "B L"]
+    """f of every side [N s]; it acts on the body with -lines^T f."""
+    used: Float[Tensor, "B L"]
+    """f over its bound, -1 to 1; inside, the side sticks. Serves as guess for a similar step."""
+
+
+def solve_step(
+    mass: Float[Tensor, "B 3 3"],
+    momentum: Float[Tensor, "B 3"],
+    arms: Float[Tensor, "B F 2"],
+    bound: Float[Tensor, "B F"],
+    directions: int,
+    guess: Float[Tensor, "B F*J"] | None = None,
+) -> Step:
+    """min_v 1/2 v^T mass v - momentum . v + sum_ij bound_i |line_ij . v|, for B bodies at once, without gradient.
+
+    Args:
+        mass: M, positive definite.
+        momentum: M v_before + h u [N s, N m s].
+        arms: place of each foot from the center of mass, turned by 90 degrees [m]: J_i = [1, arm_i].
+        bound: largest impulse c_i of each foot [N s], >= 0.
+        directions: corners of the polygon; line_ij = (e_j, e_j . arm_i) for its J sides e_j.
+        guess: `used` of a similar step; it saves work if its sticking set is nearly right.
+
+    Raises:
+        LcpError: no solution.
+    """
+    m, q, at, most = (x.detach().numpy() for x in (mass, momentum, arms, bound))
+    e = polygon_sides(directions).numpy()
+    bodies = Bodies(m, q, np.concatenate([at, np.ones_like(at[..., :1])], -1), e, bounds_of(most, len(e)))
+    return Step(*map(torch.from_numpy, solved(bodies, None if guess is None else guess.detach().numpy())))

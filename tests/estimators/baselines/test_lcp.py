@@ -10,13 +10,12 @@ import torch
 from numpy.testing import assert_allclose
 
 from estimators.baselines.dry_friction import LcpError
-from estimators.baselines.lcp import LcpEngine, Step, _Advance, polygon_sides, solve_step
+from estimators.baselines.lcp import LcpEngine, _Advance, polygon_sides
 from estimators.testing.analytic_world import drawn_object
-from estimators.wrench import model as dynamics
 from estimators.wrench.model import Inertia, ParticleModel, inertia_of, rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
-from tests.helpers.lcp_oracle import Textbook, interior_point, rollout
+from tests.helpers.lcp_oracle import Step, Textbook, explicit_rollout, interior_point, rollout, solve_step
 
 OBJECTS = [drawn_object(seed, friction_groups=2) for seed in range(3)]
 MODEL = ParticleModel.of(OBJECTS[0].shape)
@@ -241,7 +240,7 @@ START, SPUN, PUSH = tensor(0.1, 0.2, 0.3), tensor(0.3, -0.2, 4.0), tensor(0.5, 0
 def coulomb() -> torch.Tensor:
     """Velocity after 0.1 s of sliding under exact Coulomb friction, from fine explicit steps."""
     steps = 2000
-    _, velocity = dynamics.rollout(
+    _, velocity = explicit_rollout(
         MODEL, INERTIA, DRAG.expand(steps, -1), START, SPUN, PUSH.expand(steps, 3), INERTIA.com, 0.1 / steps
     )
     return velocity[-1]

@@ -19,12 +19,13 @@ from estimators.evaluation.metrics import (
 from estimators.particles.observe import observe
 from estimators.particles.wrench import AffineLoads
 from estimators.testing.analytic_world import drawn_object, turns
-from estimators.wrench.model import ParticleModel, inertia_of, rollout, rotate
+from estimators.wrench.model import ParticleModel, inertia_of, rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
+from tests.helpers.lcp_oracle import explicit_rollout
 
 OBJECT = drawn_object(0)
 FRICTION = np.array([0.5])
@@ -201,7 +202,7 @@ def test_open_loop_agrees_with_a_rollout_of_fine_steps_where_nothing_sticks(name
     part = torch.arange(fine)[:, None] / fine
     push = (turn.wrench[:steps, None] * (1 - part) + turn.wrench[1 : steps + 1, None] * part).flatten(0, 1)
     start, drag = (turn.pose[0], turn.velocity[0]), pressed[:1].expand(len(push), -1)
-    poses, _ = rollout(model, inertia, drag, *start, push, turn.grasp, turn.dt / fine)
+    poses, _ = explicit_rollout(model, inertia, drag, *start, push, turn.grasp, turn.dt / fine)
     arm = model.particles - inertia.com
     ends = [pose[:2] + rotate(pose[2], arm) for pose in (poses[-1], turn.pose[steps])]
     apart = float((ends[0] - ends[1]).norm(dim=-1).mean())

@@ -7,9 +7,10 @@ from numpy.testing import assert_allclose
 from torch import Tensor
 
 from estimators.testing.analytic_world import drawn_object
-from estimators.wrench.model import Inertia, ParticleModel, acceleration, inertia_of, one_step, rollout, rotate
+from estimators.wrench.model import ParticleModel, acceleration, inertia_of, one_step, rotate
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY
+from tests.helpers.lcp_oracle import explicit_rollout
 
 OBJECT = drawn_object(0, friction_groups=2)
 MODEL = ParticleModel.of(OBJECT.shape)
@@ -60,33 +61,18 @@ def test_friction_takes_power_and_turning_the_world_turns_the_answer():
         assert_allclose(acceleration(MODEL, INERTIA, DRAG, moved, spun[0], spun[1], grasp), spun[2], atol=1e-9)
 
 
-def test_gradients_of_the_one_step_model_and_of_a_rollout_are_right():
+def test_gradients_of_the_one_step_model_are_right():
     pose, velocity = tensor(0, 0, 0.2).expand(2, 3, 3), tensor(0.05, -0.02, 0.4).expand(2, 3, 3)
     wrench = tensor(1.0, 0.5, 0.1).expand(2, 3, 3)
     grasp = torch.tensor(OBJECT.shape.particles[[4, 13]])
 
-    def parts(point: tuple[Tensor, ...], *batch: int) -> tuple[ParticleModel, Inertia, Tensor]:
-        mass, friction = point
+    def one(mass: Tensor, friction: Tensor, velocity: Tensor, pose: Tensor) -> Tensor:
         particle = MODEL.particle_mass(mass)
-        drag = (MODEL.particle_friction(friction) * particle * GRAVITY).expand(*batch, -1)
-        return MODEL, inertia_of(MODEL, particle), drag
+        drag = (MODEL.particle_friction(friction) * particle * GRAVITY).expand(2, 3, -1)
+        return one_step(MODEL, inertia_of(MODEL, particle), drag, pose, velocity, wrench, grasp, DT)
 
-    def one(*point: Tensor) -> Tensor:
-        return one_step(*parts(point, 2, 3), pose, velocity, wrench, grasp, DT)
-
-    def many(*point: Tensor) -> Tensor:
-        return torch.cat(rollout(*parts(point, 3), pose[0, 0], velocity[0, 0], wrench[0], grasp[0], DT))
-
-    point = (MASS.clone().requires_grad_(), FRICTION.clone().requires_grad_())
+    point = [each.clone().requires_grad_() for each in (MASS, FRICTION, velocity, pose)]
     assert torch.autograd.gradcheck(one, point)
-    assert torch.autograd.gradcheck(many, point)
-
-
-def test_the_first_step_of_a_rollout_is_the_one_step_model():
-    state, wrench = (tensor(0.1, 0.2, 0.3), tensor(0.05, -0.02, 0.4)), tensor(1.0, 0.5, 0.1)[None]
-    grasp = tensor(0.02, 0.03)
-    _, velocities = rollout(MODEL, INERTIA, DRAG[None], *state, wrench, grasp, DT)
-    assert_allclose(velocities, one_step(MODEL, INERTIA, DRAG[None], state[0][None], state[1][None], wrench, grasp, DT))
 
 
 def test_a_sliding_object_of_one_friction_slows_by_mu_g_and_does_not_turn():
@@ -104,11 +90,12 @@ def test_a_spin_about_the_center_of_mass_is_slowed_by_every_lever():
     assert_allclose(a[2], -(DRAG * arm).sum() / INERTIA.about_com, rtol=1e-6)
 
 
-def test_a_free_rollout_keeps_momentum_and_friction_takes_energy_in_every_step():
+def test_a_free_body_keeps_momentum_and_friction_takes_energy_in_every_step():
     start = tensor(0.5, -0.3, 4.0)
-    _, free = rollout(MODEL, INERTIA, 0 * DRAG.expand(50, -1), STILL, start, STILL.expand(50, 3), STILL[:2], DT)
+    state, alone = (STILL, start), STILL.expand(50, 3)
+    _, free = explicit_rollout(MODEL, INERTIA, 0 * DRAG.expand(50, -1), *state, alone, STILL[:2], DT)
     assert_allclose(free, start.expand(50, 3), atol=1e-13)
-    _, slowed = rollout(MODEL, INERTIA, DRAG.expand(5, -1), STILL, start, STILL.expand(5, 3), STILL[:2], 1e-3)
+    _, slowed = explicit_rollout(MODEL, INERTIA, DRAG.expand(5, -1), *state, alone[:5], STILL[:2], 1e-3)
     energy = (WEIGHTS * torch.cat([start[None], slowed]) ** 2).sum(-1) / 2
     assert (energy.diff() < 0).all()
 
@@ -119,10 +106,6 @@ def test_a_batch_is_its_states_one_by_one():
     grasp = torch.tensor(rng.normal(scale=0.05, size=(4, 2)))
     drag = DRAG.expand(4, 6, -1)
     together = one_step(MODEL, INERTIA, drag, pose, velocity, wrench, grasp, DT)
-    rolled = rollout(MODEL, INERTIA, drag, pose[:, 0], velocity[:, 0], wrench, grasp, DT)
     for k in range(4):
         alone = one_step(MODEL, INERTIA, drag[k], pose[k], velocity[k], wrench[k], grasp[k], DT)
         assert_allclose(alone, together[k], atol=1e-12)
-        each = rollout(MODEL, INERTIA, drag[k], pose[k, 0], velocity[k, 0], wrench[k], grasp[k], DT)
-        for one, batch in zip(each, rolled, strict=True):
-            assert_allclose(one, batch[k], atol=1e-12)

@@ -6,9 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.func import vmap
 
 from estimators.inertial.body import SIZE
+from estimators.wrench.air import Matter
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.sensing.presets import Sensing
@@ -92,24 +96,13 @@ def regressor(
         angular_acceleration: rad/s^2.
         products: products of the components of the angular velocity, rad^2/s^2.
     """
-    out = np.zeros((len(pull), 6, SIZE))
-    trace = np.trace(products, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    out[:, :3, 0] = pull
-    out[:, :3, 1:4] = _cross(angular_acceleration) + products - trace
-    out[:, 3:, 1:4] = -_cross(pull)
-    (ax, ay, az), s = angular_acceleration.T, products.transpose(1, 2, 0)
-    zero = np.zeros(len(pull))
-    columns = [
-        [ax, s[0, 2], -s[0, 1]],
-        [ay - s[0, 2], ax + s[1, 2], s[0, 0] - s[1, 1]],
-        [az + s[0, 1], s[2, 2] - s[0, 0], ax - s[1, 2]],
-        [-s[1, 2], ay, s[0, 1]],
-        [s[1, 1] - s[2, 2], az - s[0, 1], ay + s[0, 2]],
-        [s[1, 2], -s[0, 2], az],
-    ]
-    for index, column in enumerate(columns, 4):
-        out[:, 3:, index] = np.stack([zero + part for part in column], 1)
-    return out
+
+    def of(body: Tensor, *motion: Tensor) -> Tensor:
+        return Matter.of_vector(body).wrench(*motion)
+
+    motions = [torch.tensor(each) for each in (pull, angular_acceleration, products)]
+    of_each = vmap(vmap(of, (0, None, None, None), 1), (None, 0, 0, 0))
+    return of_each(torch.eye(SIZE, dtype=torch.float64), *motions).numpy()
 
 
 def inertial_equations(
@@ -226,10 +219,3 @@ def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K 
     """Eigenfunctions of a random walk of 1 a second, each times its standard deviation (Karhunen, Loeve)."""
     turns = (np.arange(WALK_TERMS) + 0.5) * np.pi
     return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)
-
-
-def _cross(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Matrices of the cross products with some vectors."""
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    return np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], 1)

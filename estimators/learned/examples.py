@@ -54,10 +54,8 @@ class Examples:
     @staticmethod
     def of(questions: Sequence[Question], truths: Sequence[Float[Tensor, "G"]] = ()) -> Examples:
         """Questions, with their truths if those are known."""
-        most = max(len(q.center) for q in questions), max(len(q.edges) for q in questions)
-        found = [_padded(q, *most) for q in questions]
-        known = [pad(t, (0, most[0] - len(t))) for t in truths] or [torch.zeros(most[0]).double()] * len(questions)
-        return Examples.from_fields([*(torch.stack(each) for each in zip(*found, strict=True)), torch.stack(known)])
+        known = truths or [torch.zeros_like(question.first.mean) for question in questions]
+        return Examples.joined([_alone(*each) for each in zip(questions, known, strict=True)])
 
     @staticmethod
     def from_fields(values: Sequence[Tensor]) -> Examples:
@@ -120,13 +118,11 @@ class Examples:
         )
 
 
-def _padded(question: Question, groups: int, windows: int) -> tuple[Tensor, ...]:
-    """Fields of `Examples` but the truth, of one question."""
-    first, there = question.first, [torch.ones(1, n, dtype=torch.bool) for n in question.edges.shape[1::-1]]
+def _alone(question: Question, truth: Float[Tensor, "G"]) -> Examples:
+    """One question with its truth."""
+    first, there = question.first, [torch.ones(n, dtype=torch.bool) for n in question.edges.shape[1::-1]]
     values = question.center, first.mean, first.covariance, question.group, question.edges, question.summary
-    one = Examples.from_fields([*(each[None] for each in values), *there, torch.zeros_like(first.mean)[None]])
-    wide = one._wider(groups, windows)
-    return tuple(getattr(wide, each.name)[0] for each in fields(Examples))[:-1]
+    return Examples.from_fields([each[None] for each in (*values, *there, truth)])
 
 
 def fixed_axes(count: int) -> tuple[Float[Tensor, "N"], Bool[Tensor, "N"]]:

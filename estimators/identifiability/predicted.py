@@ -193,7 +193,7 @@ def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L
             turned=part_means(turned[part]),
             turned_errors=np.array(errors),
         )
-        if not LinkMotion.of(shape, planned).is_unsteady:
+        if not LinkMotion(shape, planned).is_unsteady:
             windows.append(planned)
     return windows
 

@@ -103,7 +103,7 @@ class Motion:
             trial: number of each one's trial.
             accelerated: True for those of constant acceleration.
         """
-        held, moved = [_held(shape, each) for each in windows], [LinkMotion.of(shape, each) for each in windows]
+        held, moved = [_held(shape, each) for each in windows], [LinkMotion(shape, each) for each in windows]
         same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "seen")
         values = {name: torch.tensor(np.array([getattr(each, name) for each in windows])) for name in same}
         pushed = torch.tensor([each.grasp is None for each in windows])
@@ -126,58 +126,44 @@ class LinkMotion:
 
     shape: ObjectShape
     """Geometry; a rigid one has no links."""
-    grasp: int | None
-    """Grasp by which one is held."""
-    twists: Float[np.ndarray, "S 3"]
-    """Twists [m/s, rad/s], as `SteadyWindow.twists`."""
-    acceleration: Float[np.ndarray, "3"]
-    """Acceleration [m/s^2, rad/s^2], as `SteadyWindow.acceleration`."""
-    turned: Float[np.ndarray, "S L 3"]
-    """Yaw [rad], rate and slope of every link, as `SteadyWindow.turned`."""
-    turned_errors: Float[np.ndarray, "L 3 4"]
-    """Errors of `turned`, as `SteadyWindow.turned_errors`."""
-
-    @staticmethod
-    def of(shape: ObjectShape, window: SteadyWindow | Planned) -> LinkMotion:
-        """Motion in a measured window."""
-        return LinkMotion(shape, window.grasp, window.twists, window.acceleration, window.turned, window.turned_errors)
+    window: SteadyWindow | Planned
+    """Measured or planned window."""
 
     @property
     def is_unsteady(self) -> bool:
         """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
         chain = self.shape.chain
-        assert chain is not None and self.grasp is not None
-        sure = 2 * np.linalg.norm(self.turned_errors[:, 2], axis=1)
-        if (np.abs(self.turned[..., 2]) - sure > MAX_ACCELERATION).any():
+        assert chain is not None and self.window.grasp is not None
+        sure = 2 * np.linalg.norm(self.window.turned_errors[:, 2], axis=1)
+        if (np.abs(self.window.turned[..., 2]) - sure > MAX_ACCELERATION).any():
             return True
-        links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.grasp].position
+        links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.window.grasp].position
         of = chain.link[self.shape.mass_group]
         return any((speeds(links, k, offsets[of == k]) < STANDING).mean() > MOST_STANDING for k in range(chain.links))
 
     def links(self) -> Float[np.ndarray, "S L 9"]:
         """Motion of every link as `Chain.moved`."""
-        return self._moved(self.turned)
+        return self._moved(self.window.turned)
 
     def links_off(self) -> Float[np.ndarray, "E S L 9"]:
         """`links` after each error of the camera: three of each link's own, and its delay's of all."""
-        errors = self.turned_errors
+        turned, errors = self.window.turned, self.window.turned_errors
         links = np.eye(len(errors))[:, :, None]
         own = [link * errors[index, :, each] for index, link in enumerate(links) for each in range(3)]
         off = np.array([*own, errors[:, :, 3]])[:, None]
-        return self._moved((self.turned + off).reshape(len(off) * PARTS, *self.turned.shape[1:])).reshape(
-            len(off), *self.turned.shape[:2], 9
-        )
+        moved = self._moved((turned + off).reshape(len(off) * PARTS, *turned.shape[1:]))
+        return moved.reshape(len(off), *turned.shape[:2], 9)
 
     def _moved(self, turned: Float[np.ndarray, "R L 3"]) -> Float[np.ndarray, "R L 9"]:
         """Motion of every link by yaw, rate and slope, in rows of S parts each."""
         chain = self.shape.chain
-        if chain is None or self.grasp is None:
+        if chain is None or self.window.grasp is None:
             return np.zeros((len(turned), 0, 9))
-        grasp = self.shape.grasps[self.grasp]
+        grasp = self.shape.grasps[self.window.grasp]
         held = int(chain.link[self.shape.pressed(grasp)[0]])
         turned = turned - turned[:, held, None] * [1, 0, 0]  # the hand knows where it is; links show each other
-        twists = np.tile(self.twists, (len(turned) // PARTS, 1))
-        return chain.moved(held, grasp.position, twists, self.acceleration, turned)
+        twists = np.tile(self.window.twists, (len(turned) // PARTS, 1))
+        return chain.moved(held, grasp.position, twists, self.window.acceleration, turned)
 
 
 def _held(shape: ObjectShape, window: SteadyWindow | Planned) -> tuple[np.ndarray, tuple[int, int]]:

@@ -98,7 +98,7 @@ def observe(
 def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWindow]:
     if shape.chain is not None:
         windows = [] if trajectory.action.accelerated else link_windows(trajectory)
-        return [window for window in windows if not LinkMotion.of(shape, window).is_unsteady]
+        return [window for window in windows if not LinkMotion(shape, window).is_unsteady]
     return (push_windows if trajectory.action.pushes else steady_windows)(trajectory)
 
 

@@ -48,23 +48,20 @@ TOLERANCE = 1e-9
 """Distance from the true wrench within which it is rebuilt [N, N m]."""
 
 
-def truth_within_reach(
-    given: Mapping[str, Any], model: ObjectModel, clean: Sequence[Trajectory] = (), drawn: bool = True
-) -> list[str]:
+def truth_within_reach(given: Mapping[str, Any], model: ObjectModel, clean: Sequence[Trajectory] = ()) -> list[str]:
     """Sentences on every way found from what was given to the truth; empty where there is none.
 
     Args:
         given: arguments of `estimate` or `next`, or of a policy's class, by name.
         model: object with its truth, to recognize what has been found.
         clean: records of a perfect sensor behind the trajectories in `given["trajectories"]`.
-        drawn: True if the sensor has errors, so that no number may equal a true one.
     """
     found = list(_walked(given))
     names = [f"{path} is given" for path, name, value in found if _secret(name) and _says_something(value)]
     texts = [f"{path} says {value!r}" for path, _, value in found if isinstance(value, str) and _names_secret(value)]
     secret = (ObjectModel, World, WorldDraw)
     held = [f"{path} is of {type(value).__name__}" for path, _, value in found if isinstance(value, secret)]
-    values = [said for path, _, value in found if drawn for said in _true_number(path, value, model)]
+    values = [said for path, _, value in found for said in _true_number(path, value, model)]
     integers = sorted({n for _, _, value in found for n in _integers(value)}, reverse=True)[:MOST_INTEGERS]
     drawn_by = {draw.seed for t in clean if (draw := WorldDraw.in_record(t.provenance))}
     said = " ".join([*map(str, integers), *(value for _, _, value in found if isinstance(value, str))])
@@ -72,7 +69,6 @@ def truth_within_reach(
     rebuilt = [
         said
         for index, (seen, true) in enumerate(zip(given.get("trajectories", ()), clean, strict=False))
-        if drawn
         for said in _redrawn(index, seen, true, integers)
     ]
     return [*names, *texts, *held, *values, *seeds, *rebuilt]

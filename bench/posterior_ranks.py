@@ -29,11 +29,10 @@ from estimators.posterior.estimator import PLAUSIBLE
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
-from estimators.posterior.scale import Scale
+from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import solve
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.wrench.model import ModelErrors
-from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY
 from testbed.worlds.presets import world
 

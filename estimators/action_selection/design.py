@@ -24,7 +24,7 @@ from estimators.identifiability.information import (
     prior_information,
 )
 from estimators.identifiability.report import prior_masses
-from estimators.wrench.weighing import Weighing
+from estimators.posterior.scale import Weighing
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape

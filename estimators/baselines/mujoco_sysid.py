@@ -13,9 +13,9 @@ from estimators.baselines.base import LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem
 from estimators.particles.misfit import Misfit
 from estimators.particles.windows import PLANAR, Observations
+from estimators.posterior.scale import Weighing
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import SupportModel
-from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trial import OWN_WEIGHT, RIGID

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem, Weighting
+from estimators.posterior.scale import Weighing
 from estimators.wrench.model import ModelErrors
-from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.validation import check_positive
 

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from estimators.particles.load_groups import weight_per_mass
 from estimators.particles.pivots import PivotInertia, inertia_map
-from estimators.wrench.weighing import Weighing
+from estimators.posterior.scale import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
 ROUNDS = 8

@@ -26,10 +26,10 @@ from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import Observations
 from estimators.posterior.on_table import OnTable
+from estimators.posterior.scale import Weighing
 from estimators.posterior.table_errors import rows_of_planar
 from estimators.wrench.jacobian import Theta
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
-from estimators.wrench.weighing import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 

@@ -28,11 +28,11 @@ from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import SHARED, OnTable
 from estimators.posterior.posterior import OBJECT
 from estimators.posterior.priors import priors
+from estimators.posterior.scale import Weighing
 from estimators.posterior.solver import Measurement
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import ERRORS, LOADS, GripperLoad, SupportModel
-from estimators.wrench.weighing import Weighing
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape

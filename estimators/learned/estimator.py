@@ -21,8 +21,8 @@ from estimators.learned.question import MISFIT, SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
 from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
 from estimators.posterior.posterior import loose_groups
+from estimators.posterior.scale import Weighing
 from estimators.wrench.support import ASSUMPTION, ERRORS
-from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

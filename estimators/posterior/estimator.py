@@ -17,11 +17,10 @@ from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
-from estimators.posterior.scale import Scale
+from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Measurement, solve
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, ERRORS, JoinedSupport
-from estimators.wrench.weighing import Weighing
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory

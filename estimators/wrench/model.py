@@ -7,7 +7,7 @@ trajectories, samples, seeds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -124,27 +124,16 @@ class ParticleModel:
             shape.stands_on_feet,
         )
 
-    def moved(self, offset: Float[Tensor, "... 2"]) -> ParticleModel:
-        """The particles at other places, an offset for all or for each, m."""
-        return replace(self, particles=self.particles + offset)
-
-    @property
-    def spread(self) -> list[ParticleModel]:
-        """The particles at the four points of their cells at which Gauss takes the mean over a square.
-
-        One without material is a known point of contact, and stays.
-        """
-        ends = (-self.cell / 12**0.5, self.cell / 12**0.5)
-        cells = (self.fill > 0)[:, None]
-        return [self.moved(cells * torch.tensor([x, y], dtype=torch.float64)) for x in ends for y in ends]
-
     def points(self, *, spread: bool) -> Float[Tensor, "P C 2"]:
-        """Points at which each particle touches the table, m: its middle, or those of `spread`.
+        """Points at which each particle touches the table, m: its middle, or four of its cell.
 
-        An object on points of contact touches there alone.
+        Those at which Gauss takes the mean over a square. An object on points of contact touches there alone.
         """
-        spread = spread and not bool(self.is_contact.any())
-        return torch.stack([each.particles for each in self.spread], 1) if spread else self.particles[:, None]
+        if not spread or bool(self.is_contact.any()):
+            return self.particles[:, None]
+        ends = (-self.cell / 12**0.5, self.cell / 12**0.5)
+        offset = torch.tensor([[x, y] for x in ends for y in ends], dtype=torch.float64)
+        return self.particles[:, None] + (self.fill > 0)[:, None, None] * offset
 
     @property
     def reach(self) -> Float[Tensor, ""]:

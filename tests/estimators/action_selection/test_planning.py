@@ -30,9 +30,8 @@ from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import SHARED, OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
-from estimators.posterior.scale import Scale
+from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Measurement, Optimum
-from estimators.wrench.weighing import Weighing
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.lift import Lift
 from testbed.actions.push import Push

@@ -18,9 +18,9 @@ from estimators.particles.observe import observe
 from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.particles.windows import Observations
 from estimators.posterior import table_errors
+from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
-from estimators.wrench.weighing import Weighing
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide

@@ -26,8 +26,8 @@ from estimators.identifiability.information import (
 from estimators.identifiability.report import identifiability
 from estimators.identifiability.trailing import trailing_motions
 from estimators.posterior import table_errors
+from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import accelerated, drawn_object, own_weight_loads, turns
-from estimators.wrench.weighing import Weighing
 from scenarios.cli.main import main
 from scenarios.cli.plan import actions_of
 from testbed.actions.accelerate import Accelerate

@@ -22,14 +22,13 @@ from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import ContactPatterns, OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import RADIUS, priors
-from estimators.posterior.scale import Scale
+from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Linearized, solve
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.testing.analytic_lab import drawn
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
-from estimators.wrench.weighing import Weighing
 from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
@@ -153,7 +152,7 @@ def test_an_answer_has_the_errors_of_the_setup_with_their_own():
 def patterns_of_contact() -> list[tuple[Tensor, Tensor, Tensor]]:
     """Points of each group, m, its patterns over them, and the radial one as parts of these."""
     model = ParticleModel.of(OBJECT.shape)
-    points = torch.stack([each.particles for each in model.spread], 1)
+    points = model.points(spread=True)
     found = ContactPatterns.of(model, points)
     return [
         (points[inside].flatten(0, 1), found.part[inside].flatten(0, 1)[:, : count - 1], radial[: count - 1])
@@ -183,7 +182,7 @@ def test_a_radius_of_contact_that_blocks_share_is_recovered():
     found = posterior_of(obj.shape, obj.total_mass, lab_trials(obj, 8))
     assert found is not None
     model = ParticleModel.of(obj.shape)
-    points = torch.stack([each.particles for each in model.spread], 1)[model.mass_group == 0].flatten(0, 1)
+    points = model.points(spread=True)[model.mass_group == 0].flatten(0, 1)
     square = (points - points.mean(0)).square().sum(1)
     corners = 2 * (0.9 * 3 / 2 * obj.shape.cell) ** 2
     radius = (corners - square.mean()) / square.std()

@@ -25,8 +25,7 @@ from estimators.baselines.base import ITERATIONS, Baseline, LogCoordinates
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.problem import Problem, Weighting
-from estimators.baselines.random_search import RandomSearch
-from estimators.baselines.weighted_sampling import WeightedSampling
+from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.analytic_world import accelerated, turns

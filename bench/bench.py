@@ -24,8 +24,7 @@ from rich.table import Table
 from estimators.action_selection.rank import between_particles
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.random_search import RandomSearch
-from estimators.baselines.weighted_sampling import WeightedSampling
+from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.descent import OPTIMIZERS
 from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.estimator import HiddenStates

@@ -19,8 +19,7 @@ from rich.table import Table
 
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.random_search import RandomSearch
-from estimators.baselines.weighted_sampling import WeightedSampling
+from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.analytic_world import accelerated, turns
 from scenarios.study.estimates import MOST_PARTICLES

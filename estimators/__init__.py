@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from estimators.baselines.explicit_state import ExplicitState
     from estimators.baselines.mujoco_sysid import MujocoSysid
     from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
-    from estimators.baselines.random_search import RandomSearch
-    from estimators.baselines.weighted_sampling import WeightedSampling
+    from estimators.baselines.sampling import RandomSearch, WeightedSampling
     from estimators.evaluation.metrics import mean_particle_distance, normalized_absolute_difference
     from estimators.hidden_states.estimator import HiddenStates
     from estimators.hidden_states.published import PublishedHiddenStates

@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from estimators.identifiability.predicted import predicted_drags, predicted_pushes, predicted_windows
-from estimators.identifiability.predicted_lifts import predicted_lifts
+from estimators.identifiability.predicted import predicted_drags, predicted_lifts, predicted_pushes, predicted_windows
 from estimators.identifiability.quasi_static import Drag
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.lifts import lifts_among

@@ -17,13 +17,15 @@ from estimators.particles.windows import Observations
 from estimators.wrench.model import ModelErrors, ParticleModel
 from estimators.wrench.support import load_map, nulled_load
 from testbed.actions.base import Action
+from testbed.actions.lift import Lift
 from testbed.actions.path import RAMP_TIME
 from testbed.actions.push import Push
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_z
-from testbed.objects.model import ObjectShape
+from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.camera import SPAN, Camera, PoseStream
 from testbed.sensing.compensation import SIDEWAYS
+from testbed.sensing.lift_windows import LiftWindow
 from testbed.sensing.link_windows import parts_of, turned_errors
 from testbed.sensing.presets import Sensing
 from testbed.sensing.push_windows import BEGIN, WINDOW, stretches, within_contact
@@ -273,6 +275,64 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def to_tcp() -> np.ndarray:
     """Map from a wrench about the sensor's origin to one about the TCP below it, (6, 6)."""
     return move_wrench(np.eye(6), np.array([0.0, 0.0, -REACH])).T
+
+
+def predicted_lifts(
+    actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
+) -> dict[int, list[LiftWindow]]:
+    """Windows of the lifts among some actions, by their place, their wrenches left at zero."""
+    return {i: predicted_lift(a, sensing, setup) for i, a in enumerate(actions) if isinstance(a, Lift)}
+
+
+def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SETUP) -> list[LiftWindow]:
+    """Windows of one lift, their wrenches left at zero."""
+    profile = action.sampled(1 / RATE)
+    noise, bias, drift = sensor_at_tcp(sensing)
+    axes = _level(profile.angle)
+    upwards = axes[:, 2]
+    windows = []
+    for segment in range(profile.segment.max() + 1):
+        inside = np.flatnonzero(profile.segment == segment)
+        kept = inside[round(trim_start(action, segment) * RATE) : len(inside) - round(TRIM_END * RATE)]
+        if len(kept) < 2:  # too short to trim
+            continue
+        spin, pull = profile.rate[kept], GRAVITY * upwards[kept].mean(axis=0)
+        heavier = TOOL_MASS * (pull - [0.0, 0.0, GRAVITY])
+        pull_rate = GRAVITY * (upwards[kept[-1]] - upwards[kept[0]]) * RATE / (len(kept) - 1)
+        tool_rate = TOOL_MASS * np.concatenate([pull_rate, np.cross([0.0, 0.0, -TOOL_COM], pull_rate)])
+        sideways = SIDEWAYS @ axes[kept].mean(axis=0)
+        moved = sideways - SIDEWAYS
+        windows.append(
+            LiftWindow(
+                grasp=action.grasp,
+                wrench=np.zeros(6),
+                covariance=noise * RATE / len(kept),
+                pull=pull,
+                angular_acceleration=profile.acceleration[kept].mean(axis=0),
+                spin_products=spin.T @ spin / len(kept),
+                tcp_height=HEIGHT,
+                bias_covariance=bias,
+                drift_covariance=drift,
+                since_tare=BEFORE + kept[[0, -1]] / RATE,
+                from_sensor=to_tcp(),
+                tool=np.concatenate([heavier, np.cross([0.0, 0.0, -TOOL_COM], heavier)]),
+                tool_mass=TOOL_MASS,
+                tool_rate=tool_rate,
+                pull_rate=pull_rate,
+                pull_tilt=sideways,
+                tool_tilt=TOOL_MASS * np.hstack([moved, np.cross([0.0, 0.0, -TOOL_COM], moved)]),
+                setup=setup,
+            )
+        )
+    return windows
+
+
+def _level(angle: np.ndarray) -> np.ndarray:
+    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one a row."""
+    x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
+    along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
+    upwards = np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])
+    return np.stack([along_x, along_y, upwards], 1)
 
 
 def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:

@@ -11,8 +11,7 @@ from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
-from estimators.baselines.random_search import RandomSearch
-from estimators.baselines.weighted_sampling import WeightedSampling
+from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.learned.estimator import Learned

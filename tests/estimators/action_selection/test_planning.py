@@ -24,8 +24,7 @@ from estimators.identifiability.information import (
     predicted_information,
     prior_information,
 )
-from estimators.identifiability.predicted import predicted_windows
-from estimators.identifiability.predicted_lifts import predicted_lift
+from estimators.identifiability.predicted import predicted_lift, predicted_windows
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import SHARED, OnTable
 from estimators.posterior.posterior import Posterior

@@ -13,8 +13,7 @@ from estimators.baselines.base import DENSEST, ITERATIONS, Baseline
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.optimizers import LeastSquares
-from estimators.baselines.random_search import RandomSearch
-from estimators.baselines.weighted_sampling import WeightedSampling, _grid
+from estimators.baselines.sampling import RandomSearch, WeightedSampling, _grid
 from estimators.descent import OPTIMIZERS
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from testbed.objects.files import load_object

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from estimators.identifiability.predicted_lifts import predicted_lift
+from estimators.identifiability.predicted import predicted_lift
 from estimators.particles.lifts import LiftErrors, lifts_among
 from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import TOOL, accelerated, drawn_object, turns

@@ -1,4 +1,4 @@
-"""Weighted Sampling Search, a baseline of the paper: a grid, then draws ever closer around the best."""
+"""Random Search and Weighted Sampling Search, baselines of the paper that draw masses and frictions."""
 
 from __future__ import annotations
 
@@ -13,6 +13,18 @@ from estimators.baselines.base import FIRST_DEVIATION, Baseline, Candidates, Sea
 from estimators.baselines.problem import Problem
 from testbed.errors import InvalidValueError
 from testbed.validation import check_integer, check_positive_fields
+
+
+@dataclass(frozen=True)
+class RandomSearch(Baseline):
+    """Draws mass and friction `iterations` times and returns the draw with the least loss."""
+
+    def _search(self, problem: Problem, seed: int) -> SearchResult:
+        begin = time.perf_counter()
+        unit = np.random.default_rng(seed).uniform(size=(self.iterations, problem.shape.n_mu + problem.shape.n_m))
+        drawn = from_unit(problem, unit)
+        loss = problem.loss(drawn.mass, drawn.friction, self.weighting)
+        return SearchResult.of_samples("random", [(drawn, loss, time.perf_counter() - begin)])
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import ONE_PIECE, observe
+from estimators.particles.observe import NO_DATA, ONE_PIECE, observe
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
@@ -92,7 +92,7 @@ class Problem:
             return Estimate(None, "assumption_violated", ONE_PIECE)
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
-            return Estimate(None, "no_data", "no trajectory with status ok that slides or turns at constant speed")
+            return Estimate(None, "no_data", NO_DATA)
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)

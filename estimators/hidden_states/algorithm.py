@@ -17,9 +17,8 @@ from estimators.base import HiddenStateEstimate, Trace
 from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form_covariance
 from estimators.hidden_states.inertia import com_and_inertia
-from estimators.hidden_states.masses import MassSolution, solve_masses
+from estimators.hidden_states.masses import MassSolution, PivotInertia, solve_masses
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.pivots import PivotInertia
 from testbed.objects.model import MassDistribution
 
 LoadSolver = Callable[[LinearSystem], tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]]
@@ -31,10 +30,6 @@ class Underdetermined:
     """End of Algorithm 1 where rank(Q) < n_s."""
 
     Q_s_b: LinearSystem
-    rank: int
-    """rank(Q)."""
-    n_s: int
-    """Number of friction loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +59,7 @@ def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver
 
     Q_s_b = trials.friction_system(guess)  # Eq. dvs
     if Q_s_b.rank < n_s:
-        return Underdetermined(Q_s_b, Q_s_b.rank, n_s)
+        return Underdetermined(Q_s_b)
     s, traces = solve(Q_s_b)  # Eq. problem_si
 
     I_j = trials.pivot_inertias(guess, s)  # Eq. dvp

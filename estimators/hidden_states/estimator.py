@@ -16,12 +16,11 @@ from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
 from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
-from estimators.hidden_states.masses import fixed_rows, load_jacobian, one_friction_masses
+from estimators.hidden_states.masses import PivotInertia, fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY
-from estimators.particles.pivots import PivotInertia
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION
 from testbed.errors import InvalidValueError
@@ -134,7 +133,8 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
     """Estimate without masses, where rank(Q) < n_s."""
     pivots = trials.pivot_inertias(guess, trials.friction_loads(guess))
     report = _report(trials, found.Q_s_b, pivots, guess)
-    why = f"rank(Q) is {found.rank} and {found.n_s} friction loads are unknown: turn about more points"
+    rank, n_s = found.Q_s_b.rank, len(trials.groups.pairs)
+    why = f"rank(Q) is {rank} and {n_s} friction loads are unknown: turn about more points"
     return Estimate(None, "underdetermined", why, identifiability=report)
 
 

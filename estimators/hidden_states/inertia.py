@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch.nn.functional import one_hot
 
 from estimators.hidden_states.equations import FrictionEquations
-from estimators.particles.pivots import PivotInertia
+from estimators.hidden_states.masses import PivotInertia
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia
 

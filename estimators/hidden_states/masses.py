@@ -13,7 +13,6 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from estimators.particles.load_groups import weight_per_mass
-from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.posterior.scale import Weighing
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 
@@ -28,6 +27,31 @@ OPEN = 1e-9
 
 Pairs = tuple[tuple[int, int], ...]
 """Mass group and friction group of each s."""
+
+
+@dataclass(frozen=True, eq=False)
+class PivotInertia:
+    """Moments of inertia I_j about the pivots j in S."""
+
+    pivot: Float[np.ndarray, "J 2"]
+    """p_j, m, object frame."""
+    inertia: Float[np.ndarray, "J"]
+    """I_j, kg m^2."""
+    variance: Float[np.ndarray, "J"]
+    """Variance of each, (kg m^2)^2."""
+    common_error: float = 0.0
+    """One error of all together, as a part of I_j."""
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "J J"]:
+        """Covariance of I_j, (kg m^2)^2."""
+        return np.diag(self.variance) + self.common_error**2 * np.outer(self.inertia, self.inertia)
+
+
+def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
+    """Map from particle masses to the inertia about each point, m^2; cells are solid."""
+    squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
+    return shape.per_group(squares)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,10 @@ from estimators.descent import OPTIMIZERS, check_optimizers, descend
 from estimators.evaluation.judged import misfit_on
 from estimators.hidden_states.estimator import Solver
 from estimators.hidden_states.friction import CONTRADICTORY
-from estimators.hidden_states.masses import SMALLEST_PART, feet_of
+from estimators.hidden_states.masses import SMALLEST_PART, feet_of, inertia_map
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import rank_of, weight_per_mass
 from estimators.particles.observe import NO_DATA, ONE_PIECE
-from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
 from estimators.wrench.support import ASSUMPTION, own_weight

@@ -19,11 +19,10 @@ from torch.nn.functional import one_hot
 from estimators.base import robot_seconds
 from estimators.hidden_states.equations import FrictionEquations, LinearSystem
 from estimators.hidden_states.inertia import pivot_inertias
-from estimators.hidden_states.masses import friction_loads
+from estimators.hidden_states.masses import PivotInertia, friction_loads, inertia_map
 from estimators.particles.load_groups import LoadGroups
 from estimators.particles.misfit import Misfit
 from estimators.particles.observe import observe
-from estimators.particles.pivots import PivotInertia
 from estimators.particles.windows import Observations
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.scale import Weighing
@@ -148,7 +147,15 @@ class TrialWindows:
         found = equations.whitened().misfit(s)
         if not bool(at_one_speed.all()):
             found = max(found, equations.where(at_one_speed).whitened().misfit(s), key=lambda misfit: misfit.widening)
-        return found.or_of_inertia(self.shape, self.pivot_inertias(guess, s), guess)
+        pivots = self.pivot_inertias(guess, s)
+        if pivots is None or not found.explains:
+            return found
+        has = inertia_map(self.shape, pivots.pivot) @ guess.mass
+        missing, weights = pivots.inertia - has, np.linalg.solve(pivots.covariance, has)
+        value = float(missing @ np.linalg.solve(pivots.covariance, missing)) / len(has)
+        inertia = float(weights @ pivots.inertia / (weights @ has))
+        of_inertia = replace(found, value=value, freedom=len(has), inertia=inertia)
+        return of_inertia if of_inertia.widening > found.widening else found
 
 
 @lru_cache(maxsize=1)

@@ -16,11 +16,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.hidden_states.equations import FrictionEquations
+from estimators.hidden_states.masses import inertia_map
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import rank_of
 from estimators.particles.misfit import Misfit
 from estimators.particles.observe import observe
-from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.support import ERRORS
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 from scipy.stats import chi2
-
-from estimators.particles.pivots import PivotInertia, inertia_map
-from testbed.objects.model import MassDistribution, ObjectShape
 
 CHANCE = 1e-3
 """Chance that the stated errors alone give as large a misfit, below which errors are widened."""
@@ -62,16 +58,6 @@ class Misfit:
         """Entries of `Estimate.diagnostics`."""
         return {"misfit": self.value, "misfit_freedom": float(self.freedom)}
 
-    def or_of_inertia(self, shape: ObjectShape, pivots: PivotInertia | None, at: MassDistribution) -> Misfit:
-        """This one of friction, or that of the masses' inertia about the pivots where friction is explained."""
-        if pivots is None or not self.explains:
-            return self
-        has = inertia_map(shape, pivots.pivot) @ at.mass
-        missing, weights = pivots.inertia - has, np.linalg.solve(pivots.covariance, has)
-        value = float(missing @ np.linalg.solve(pivots.covariance, missing)) / len(has)
-        found = replace(self, value=value, freedom=len(has), inertia=float(weights @ pivots.inertia / (weights @ has)))
-        return found if found.widening > self.widening else self
-
     @property
     def reason(self) -> str:
         """Why the answer does not explain the trials; empty where it does."""
@@ -82,11 +68,7 @@ class Misfit:
         if self.least is not None and self.least <= UNEXPLAINED:
             return f"{begin}, which others do (misfit {self.least:.2g}): the search ended early"
         if self.inertia is not None:
-            return f"{begin}; {inertia_in_words(self.inertia)}"
+            found = f"accelerated turns show {100 * self.inertia:.0f} % of the inertia that these masses have"
+            checks = "weigh the object again, check the torque's unit and the object's size, or ask support_aware"
+            return f"{begin}; {found}: {checks}"
         return f"{begin}; {NEXT}; errors are widened"
-
-
-def inertia_in_words(part: float) -> str:
-    """Checks to make where accelerated turns show `part` of the inertia of the masses."""
-    found = f"accelerated turns show {100 * part:.0f} % of the inertia that these masses have"
-    return f"{found}: weigh the object again, check the torque's unit and the object's size, or ask support_aware"

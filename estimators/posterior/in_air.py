@@ -13,8 +13,8 @@ from torch import Tensor
 from estimators.particles.lifts import LiftErrors, lift_covariance, upright_sizes
 from estimators.posterior.solver import Linearized
 from estimators.posterior.unknowns import Unknowns
-from estimators.wrench.air import Air
-from estimators.wrench.jacobian import Theta, zeros
+from estimators.wrench.air import Air, nominal
+from estimators.wrench.jacobian import Theta
 from estimators.wrench.setup import stated_sizes
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -64,9 +64,7 @@ class InAir:
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance; the errors of this trial alone are in the last."""
         theta = unknowns.of(SHARED, z)[0]
-        rows, slopes = self.air.linearized(
-            theta | zeros(**{name: tuple(size.shape) for name, size in self.own.items()})
-        )
+        rows, slopes = self.air.linearized(nominal(theta, self.own))
         covariance = lift_covariance(self.shape, self.windows, slopes, self.own, self.errors, self.weight)
         shared = {name: slope for name, slope in slopes.items() if name in theta}
         columns = unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)

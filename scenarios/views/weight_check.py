@@ -13,8 +13,8 @@ import numpy as np
 from estimators.base import Estimate
 from estimators.evaluation.judged import misfit_on
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.hidden_states.masses import inertia_map
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.pivots import inertia_map
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.trial import Finding
 from testbed.trajectory import Trajectory

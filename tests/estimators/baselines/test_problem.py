@@ -13,10 +13,9 @@ from estimators.baselines.base import Baseline
 from estimators.baselines.problem import ROUNDS, STEP, Problem
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form
-from estimators.hidden_states.masses import one_friction_masses
+from estimators.hidden_states.masses import inertia_map, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.observe import observe
-from estimators.particles.pivots import inertia_map
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from estimators.testing import analytic_world

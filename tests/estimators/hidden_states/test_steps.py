@@ -11,11 +11,17 @@ from estimators.descent import OPTIMIZERS
 from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form, closed_form_covariance, descend_loads
 from estimators.hidden_states.inertia import com_and_inertia
-from estimators.hidden_states.masses import MassSolution, feet_of, friction_loads, solve_masses
+from estimators.hidden_states.masses import (
+    MassSolution,
+    PivotInertia,
+    feet_of,
+    friction_loads,
+    inertia_map,
+    solve_masses,
+)
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import LoadGroups, rank_of
 from estimators.particles.observe import observe
-from estimators.particles.pivots import PivotInertia, inertia_map
 from estimators.particles.windows import Observations
 from estimators.posterior import table_errors
 from estimators.posterior.scale import Weighing

@@ -103,14 +103,9 @@ class LogCoordinates:
         first = float(np.random.default_rng(seed).uniform(*FRICTION_RANGE))
         if problem.weight is not None:
             first = problem.windows.drag / (problem.weight * GRAVITY)
-        return LogCoordinates.about(problem, first)
-
-    @staticmethod
-    def about(problem: Problem, friction: float) -> LogCoordinates:
-        """Coordinates about uniform mass and a friction."""
-        first = torch.full((problem.shape.n_mu,), friction, dtype=torch.float64)
-        mass = problem.typical_mass(first[:1]).expand(problem.shape.n_m)
-        return LogCoordinates(mass, first, problem.per_group, problem.weight)
+        friction = torch.full((problem.shape.n_mu,), first, dtype=torch.float64)
+        mass = problem.typical_mass(friction[:1]).expand(problem.shape.n_m)
+        return LogCoordinates(mass, friction, problem.per_group, problem.weight)
 
     @staticmethod
     def stacked(draws: Sequence[LogCoordinates]) -> LogCoordinates:

@@ -18,7 +18,7 @@ from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
-from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+from tests.fakes.flawed_bench import held_beside
 
 OBJECT, BESIDE = drawn_object(0), np.array([0.01, 0.015])
 ACTIONS = [
@@ -65,24 +65,6 @@ def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its
     assert_allclose(faded[:, :2], mean[:, :2], atol=0.12)  # a foot drags 1 N
     if 0 < millimeters < 1:
         assert float((sharp.rows({}) - mean)[:, :2].norm(dim=1).min()) > 0.4
-
-
-def test_a_grasp_offset_moves_the_object_in_the_hand():
-    offset = np.array([1e-4, -5e-5])
-    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
-    beside = [held_beside(OBJECT, action, offset) for action in ACTIONS]
-    predicted = change(plain, grasp_offset=-offset)
-    assert_allclose(predicted, wrenches(beside) - wrenches(plain), atol=0.03 * np.abs(predicted).max())
-
-
-@pytest.mark.parametrize(("part", "off"), [(0.01, 0.01), (0.1, 0.03)])
-def test_an_anisotropic_table_drags_more_one_way(part, off):
-    direction = 0.4  # friction along `direction` is over the mean by `part`, and across it under the mean by as much
-    plain = [analytic_trial(OBJECT, action) for action in ACTIONS]
-    grained = [on_anisotropic_table(OBJECT, t, (1 - part) / (1 + part), direction) for t in plain]
-    predicted = change(plain, anisotropy=part * np.array([np.cos(2 * direction), np.sin(2 * direction)]))
-    changed = (1 - part**2) ** 0.5 * wrenches(grained) - wrenches(plain)
-    assert_allclose(predicted, changed, atol=off * np.abs(changed).max())
 
 
 def test_groups_of_more_friction_drag_more():

@@ -54,7 +54,7 @@ VARIANTS = {
 }
 SLOW = (
     *("descent", "published", "published, exact", "support_aware", "support_aware of materials"),
-    *("weighted_sampling", "diff_lcp", "cma_es", "nelder_mead"),
+    *("weighted_sampling", "explicit_state", "diff_lcp", "cma_es", "nelder_mead"),
     *(f"{name} with M" for name in BASELINES),
 )
 """Held by CI alone: each has a quick twin, in method or in one setting."""

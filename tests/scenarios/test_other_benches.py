@@ -103,6 +103,7 @@ def test_the_bench_of_the_documentation_with_its_policy_gives_the_truth_back(her
     assert len({*here.glob("out/trials/*/trial.json")}) == 2 * len(made), "another source makes trials of its own"
 
 
+@pytest.mark.slow
 def test_a_sensors_errors_are_drawn_on_what_is_simulated_and_on_nothing_else(here):
     drawn = ran(here, "drawn", "own_simulator:DragSimulator", sensing=["ft300s"], seeds=2)
     measured = ran(here, "measured", "more:Measured", sensing=["ft300s"], seeds=2)

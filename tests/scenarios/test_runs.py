@@ -192,6 +192,7 @@ def test_records_cut_short_are_made_again(finished, copied):
     assert estimate.is_file() and all(len(record.read_bytes()) > 5000 for record in records)
 
 
+@pytest.mark.slow
 def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished, copied):
     trials, estimates = sorted(copied.glob("trials/*")), sorted(copied.glob("estimates/*"))
     record = trials[0] / "trajectory.parquet"

@@ -14,7 +14,7 @@ from testbed.robot.calibration.motion import wrong_motion
 BLOCK = load_block("T-own_weight")
 
 
-@pytest.mark.parametrize(("part", "ok"), [(1.0, True), (1.1, False)])
+@pytest.mark.parametrize(("part", "ok"), [pytest.param(1.0, True, marks=pytest.mark.slow), (1.1, False)])
 def test_a_weight_that_is_off_by_a_tenth_is_told(part: float, ok: bool):
     shape, trials, weight = BLOCK.model.shape, BLOCK.trials("ft300s"), part * BLOCK.weighed("ft300s")
     answer = HiddenStates().estimate(shape, weight, trials, 0)

@@ -78,6 +78,7 @@ def test_contact_points_lie_on_the_outline_where_the_fingertip_is(pushes):
     assert np.ptp(path[:, 1]) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_push_is_an_arrow_to_its_contact_point_and_a_line_along_its_way(pushes):
     view = TrialsView.of(BLOCKS.shape, [replace(pushes[0], action=Weigh()), *pushes], "blocks")
     figure = trials_figure(view)
@@ -114,6 +115,7 @@ def test_links_and_hinges_are_on_the_map_and_each_joint_has_its_line(drags):
             )
 
 
+@pytest.mark.slow
 def test_the_report_has_each_objects_actions_and_ranges(pushes, drags):
     views = {
         "L2": TrialsView.of(BLOCKS.shape, pushes, "L2, ideal"),

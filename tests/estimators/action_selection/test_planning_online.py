@@ -44,7 +44,7 @@ def run(obj: ObjectModel, chooser: OnlinePolicy, most: int = 12, **world: object
     return trials, chooser.decide(obj.shape, trials)
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_it_touches_until_the_masses_are_known(seed):
     obj = drawn_object(seed)
     chooser = policy(obj, Goal(until=0.02))
@@ -75,6 +75,7 @@ def test_what_failed_is_not_asked_for_again():
     assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
 
 
+@pytest.mark.slow
 def test_trials_that_contradict_each_other_teach_nothing():
     obj = drawn_object(0)
     chooser = policy(obj, Goal(until=0.02))
@@ -102,6 +103,7 @@ def test_an_answer_is_no_surer_than_it_says_itself():
     assert modest.nad == pytest.approx(NORMAL_MEAN * its_own.sum() / obj.total_mass) and modest.nad > last.nad
 
 
+@pytest.mark.slow
 def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_another():
     obj = drawn_object(0)
 

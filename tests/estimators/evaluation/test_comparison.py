@@ -80,6 +80,7 @@ def test_the_best_is_marked_only_where_it_is_sure():
     assert significantly_best({"a": {0: 1.0, 1: 1.5}, "b": {0: np.nan, 1: np.nan}}) is None
 
 
+@pytest.mark.slow
 def test_false_marks_are_rare():
     rng = np.random.default_rng(2)
     tables = [{name: dict(enumerate(rng.normal(size=6).tolist())) for name in "abc"} for _ in range(400)]

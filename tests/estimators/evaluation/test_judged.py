@@ -40,7 +40,7 @@ METHODS_HELD = {
     "nelder_mead": NelderMead(iterations=2000),
     "least_squares": LeastSquares(),
 }
-QUICK = ("hidden_states", "bayes", "support_aware", "least_squares", "random_search")
+QUICK = ("hidden_states", "bayes", "least_squares", "random_search")
 """One of each kind; CI asks the others."""
 ASKED = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METHODS_HELD]
 SEARCHES = ("random_search", "weighted_sampling", "diff_lcp")

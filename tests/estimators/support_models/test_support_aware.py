@@ -74,7 +74,7 @@ def aware(obj: ObjectModel, *, rigid: bool = True, **settings: Any) -> Estimate:
     return ask(obj, data(obj, rigid=rigid), SupportAware(**settings))
 
 
-@pytest.mark.parametrize("rigid", [False, True])
+@pytest.mark.parametrize("rigid", [True, *also_slow(False)])
 @pytest.mark.parametrize("name", ["L2", *also_slow("I2", "F2")])
 def test_the_support_is_found_with_and_without_acceleration(name, rigid):
     obj = load_object(name)

@@ -194,7 +194,9 @@ SCALED, SCALE = drawn_object(2), SetupErrors(scale=0.02)
 TRIALS = [replace(trial, setup=SCALE) for trial in turns(SCALED, noise=0.05)]
 
 
-@pytest.mark.parametrize("method", ["hidden_states", "least_squares", "support_aware"])
+@pytest.mark.parametrize(
+    "method", ["hidden_states", "least_squares", pytest.param("support_aware", marks=pytest.mark.slow)]
+)
 def test_a_method_knows_the_object_no_better_than_the_scale(method: str):
     found = build_method(method, {}).estimate(SCALED.shape, SCALED.total_mass, TRIALS, 0)
     assert found.covariance is not None

@@ -91,6 +91,7 @@ def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
         assert_allclose(one.turned[..., 1:], other.turned[..., 1:], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
     time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(measured(0).time_s)))
     given = replace(measured(0), time_s=time - time[0])

@@ -38,6 +38,7 @@ def test_fast_motion_will_not(tmp_path):
         recorded_poses(*recorded(tmp_path, rest_s=0.0, way_s=0.8))
 
 
+@pytest.mark.slow
 def test_gains_are_found_as_far_as_the_poses_tell_them(tmp_path):
     gain = np.array([1.03, 0.98, 1.01, 1.02, 0.97, 1.0])
     poses, _ = recorded_poses(*recorded(tmp_path, gain=gain))
@@ -48,6 +49,7 @@ def test_gains_are_found_as_far_as_the_poses_tell_them(tmp_path):
     assert 0.01 < found.gain_std[0] < 0.03, "one scale of all is the mass's too: only the statement limits it"
 
 
+@pytest.mark.slow
 def test_a_row_may_be_a_pose(tmp_path):
     """A table without times; matrices in place of quaternions; the scatter of a fit is the error of a reading."""
     every = readings(MOUNT, noise=1.0, seed=2, hands=[*POSES, *(hand * DOWN for hand in POSES)])

@@ -147,6 +147,7 @@ def test_a_bias_comes_only_after_the_tare_and_reaches_the_object():
     assert_allclose(drawn.wrench_on_object_world[AFTER, :3], np.tile(force, (300, 1)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_bias_has_the_spread_asked_for():
     short = record(12, tare=6)
     bias = np.array([draw_sensing(short, BIASED, seed).sensor_wrench[-1] for seed in range(400)])

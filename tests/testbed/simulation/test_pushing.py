@@ -61,6 +61,7 @@ def test_a_push_through_the_middle():
     assert len(push_windows(seen)) >= 2
 
 
+@pytest.mark.slow
 def test_a_fingertip_slides_along_a_face_without_bouncing():
     """The force of a push is as steady as its motion: at every scale of time it follows its parabola."""
     push = Push((-0.05, 0.03), math.radians(-35), length=0.1)
@@ -89,6 +90,7 @@ def test_playback_shows_the_fingertip_at_the_object():
     assert shown.data.qpos[shown.model.joint("gripper/left_finger").qposadr[0]] == pytest.approx(STROKE / 2)
 
 
+@pytest.mark.slow
 def test_a_push_that_loses_the_object_keeps_what_it_had():
     face = next(face for face in faces(BLOCKS.shape) if face.normal[0] < 0)
     point = face.begin + 0.1 * (face.end - face.begin)
@@ -99,6 +101,7 @@ def test_a_push_that_loses_the_object_keeps_what_it_had():
     assert lost.figures["contact_s"] < 4.0
 
 
+@pytest.mark.slow
 def test_a_push_that_tips_the_object_is_no_data():
     """On few points of contact, pushed into a corner, a row of light and heavy blocks goes over its edge."""
     masses = [0.468, 0.114, 0.359, 0.059, 0.433, 0.34]

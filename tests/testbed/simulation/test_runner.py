@@ -172,6 +172,7 @@ def test_a_tool_drags_by_coulombs_law_on_its_own_feet(name: str, grasp: str, sup
         assert abs(difference[5]) < 5e-3 * torque
 
 
+@pytest.mark.slow
 def test_a_weld_measures_what_friction_does():
     obj = load_object("I2")
     welded = SimulationRunner(SimulationSettings(grip=GripSettings(mode="weld")))

@@ -127,6 +127,7 @@ def test_the_wrench_is_coulombs_sum_at_the_contact_points():
     assert not np.allclose(feet.position, L2.shape.particles[feet.particle], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_points_stand_out_and_carry_more():
     draw = alone(flatness=1e-4)
     higher = np.argsort(draw.feet(L2).height)

@@ -70,15 +70,15 @@ def main(arguments: list[str] | None = None) -> None:
     if hidden := hidden_package():
         print(f"heft: {hidden}", file=sys.stderr)
         sys.exit(2)
-    if arguments == ["--version"]:
-        print(f"heft {version('heft-testbed')}")
-        return
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(overview())
-        sys.exit(0)
     if len(arguments) == 1 and arguments[0] in GROUPS:
         arguments = [*arguments, "--help"]
     try:
+        if arguments == ["--version"]:
+            print(f"heft {version('heft-testbed')}")
+            return
+        if not arguments or arguments[0] in ("-h", "--help"):
+            print(overview())
+            sys.exit(0)
         tyro.extras.subcommand_cli_from_dict(
             commands_of(arguments),
             prog="heft",
@@ -91,8 +91,8 @@ def main(arguments: list[str] | None = None) -> None:
     except ImportError as error:
         print(f"heft: this installation is incomplete: {error}; install heft-testbed again", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:  # what reads our output has read enough: `heft ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        _discard_output()
     except OSError as error:
         place = f": {error.filename}" if error.filename else ""
         print(f"heft: {error.strerror or error}{place}", file=sys.stderr)
@@ -110,6 +110,10 @@ def command() -> None:
         main()
     except SystemExit as end:
         code = end.code
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard_output()
     left = [thread for thread in threading.enumerate() if not thread.daemon and thread is not threading.main_thread()]
     for thread in left:
         thread.join(PATIENCE)
@@ -119,6 +123,11 @@ def command() -> None:
         sys.stderr.flush()
         os._exit(code if isinstance(code, int) else 0 if code is None else 1)
     sys.exit(code)
+
+
+def _discard_output() -> None:
+    """Write no further output: its reader has closed the pipe, as in `heft ... | head`."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def commands_of(arguments: Sequence[str]) -> dict[str, Callable[..., None]]:

@@ -1,6 +1,7 @@
 """Listings, help, `heft doctor`, the nearest names, and an end without lingering threads."""
 
 import io
+import os
 import re
 import subprocess
 import sys
@@ -120,6 +121,20 @@ def test_settings_are_written_as_in_a_scenario():
 def test_the_version_is_one_line(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"heft {version('heft-testbed')}\n"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
+def test_a_reader_that_has_read_enough_gets_no_traceback(words, unbuffered):
+    """As in `heft --help | head`."""
+    program = [sys.executable, "-c", "from scenarios.cli.main import command; command()", *words]
+    read, write = os.pipe()
+    os.close(read)
+    ended = subprocess.run(
+        program, stdout=write, stderr=subprocess.PIPE, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}, check=False
+    )
+    os.close(write)
+    assert (ended.returncode, ended.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

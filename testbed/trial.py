@@ -96,6 +96,10 @@ class Trial:
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.object, ObjectModel):
+            raise InvalidValueError("Trial.object", self.object, 'an ObjectModel, such as heft.load_object("L2")')
+        if not isinstance(self.support, Support):
+            raise InvalidValueError("Trial.support", self.support, "heft.OWN_WEIGHT, heft.RIGID or heft.Support(N/m)")
         if self.world is not None and self.world.world.none:
             object.__setattr__(self, "world", None)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):

@@ -28,6 +28,9 @@ from pydantic_core import CoreSchema, core_schema
 
 from testbed.errors import InvalidValueError
 
+MOST_WEIGHT = 100.0
+"""Bound of the mass that a scale reads [kg]."""
+
 
 def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> np.ndarray:
     """A read-only float64 copy of `values`.
@@ -93,6 +96,12 @@ def check_positive(name: str, value: float) -> None:
     """Raise InvalidValueError unless `value` is finite and > 0."""
     if not (is_number(value) and value > 0):
         raise InvalidValueError(name, value, "a finite number > 0")
+
+
+def check_weight(name: str, value: float) -> None:
+    """Raise InvalidValueError unless `value` is a mass of an object in kg; one in grams is too large."""
+    if not (is_number(value) and 0 < value < MOST_WEIGHT):
+        raise InvalidValueError(name, value, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
 
 
 def check_positive_fields(value: object, *names: str) -> None:

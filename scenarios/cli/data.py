@@ -32,7 +32,7 @@ def import_(
 
     MAPPING is a TOML file that names the columns, their units and the actions; docs/own_logs.md has an example. All
     errors are listed at once, and nothing is written if there are any. Importing a log again replaces its earlier
-    trial. Exit code: 1 if a trial is unusable, or if --find cannot read a log.
+    trial. Exit code: 1 if a trial is unusable or contradicts its action, or if --find cannot read a log.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
@@ -65,15 +65,15 @@ def import_(
     for log in imported:
         print(_summary(log))
     model = imported[0].object
-    for text in wrong_motion(model.shape, [log.trajectory for log in imported]):
+    wrong = wrong_motion(model.shape, [log.trajectory for log in imported])
+    for text in wrong:
         print(f"wrong   {text}")
-    bad, name = sum(not log.trajectory.ok for log in imported), imported[0].object.name
-    print(
-        f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, "
-        f"{f'{bad} of them not usable' if bad else 'all usable'}; next: heft estimate {out}"
-        + ("" if weight is not None else f", after importing with the weight of {name}: --weight KG"),
-    )
-    if bad:
+    bad, name = sum(not log.trajectory.ok for log in imported), model.name
+    state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
+    scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
+    after = f"correct {mapping}, its units and signs too, and import again" if wrong else f"heft estimate {out}{scale}"
+    print(f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {state}; next: {after}")
+    if bad or wrong:
         sys.exit(1)
 
 

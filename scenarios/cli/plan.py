@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from testbed.objects.model import ObjectModel, ObjectShape
     from viz.values import PlanView
 
-MOST_WEIGHT = 100.0
-"""Greatest weight that is taken [kg]."""
 MOST_REJECTED = 5
 """Refusals that are printed."""
 MOST_NAMED = 3
@@ -258,10 +256,11 @@ def plan(
     from testbed.sensing.noise import read_scale
     from testbed.sensing.presets import preset
     from testbed.trial import support_of
+    from testbed.validation import check_weight
     from testbed.worlds.presets import world as world_of
 
-    if weight is not None and not 0 < weight < MOST_WEIGHT:
-        raise InvalidValueError("--weight", weight, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
+    if weight is not None:
+        check_weight("--weight", weight)
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
     carrier, goal = search.assumed_support or support_of(model.shape).name, search.goal
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated

@@ -74,6 +74,20 @@ def test_logs_become_trials_that_play_again(lab: Path, capsys: pytest.CaptureFix
     assert sorted(key for key, _ in load_trajectories(lab / "lab")) == before
 
 
+def test_trials_that_turn_elsewhere_than_stated_are_an_exit_code(
+    lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
+):
+    """Millimeters read as meters: every center is far off."""
+    for i, record in enumerate(records):
+        write_csv(lab / f"{i}.csv", replace(record, tcp_position=1e3 * record.tcp_position))
+    named = [{"file": f"{i}.csv", "action": turn.to_dict()} for i, turn in enumerate(TURNS)]
+    write_toml(lab / "lab.toml", mapping_of(records[0], action=None, logs=named))
+    assert ended("import", "lab.toml", "--out", "lab") == 1
+    said = capsys.readouterr().out
+    assert said.count("wrong   ") >= 2 and "usable" not in said
+    assert "next: correct lab.toml, its units and signs too, and import again" in said
+
+
 def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(lab: Path, records: list[Trajectory]):
     assert ended("import", "lab.toml", "--out", "lab") == 0
     mapping = mapping_of(records[0])
@@ -98,7 +112,7 @@ def test_pose_and_wrench_may_be_files_of_their_own(
     together = import_trajectory(Path("0.csv"), Path("lab.toml"))
     assert_allclose(apart.wrench_on_object_world, together.wrench_on_object_world, atol=1e-12)
     whole[wrench].assign(fx="1" + whole["fx"].str.lstrip("-")).to_csv("ft.csv", index=False)
-    assert ended("import", "apart.toml", "pose.csv", "--out", "lab") == 0
+    assert ended("import", "apart.toml", "pose.csv", "--out", "lab") == 1  # the force has another sign
     assert len(list(load_trajectories("lab"))) == 2  # another record of the sensor is another log
 
 
@@ -122,6 +136,7 @@ def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
         (("import", "none.toml", "0.csv"), "none.toml: cannot be read as TOML"),
         (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing file (.csv, "),
         (("import", "lab.toml", "--weight", "-1"), "--weight: got -1.0; allowed: "),
+        (("import", "lab.toml", "--weight", "1800"), "--weight: got 1800.0; allowed: a number > 0 and < 100, kg"),
         (("import", "lab.toml", "--support", "soft"), 'support: got \'soft\'; allowed: "own_weight", "rigid"'),
         (("estimate", "none"), "DIR: got 'none'; allowed: a results folder, with trials in it"),
         (("estimate", "lab"), "a folder in which L2 was weighed: heft robot trial --action weigh --weight KG, or heft"),
@@ -288,10 +303,11 @@ def test_trials_of_two_shapes_are_not_put_together(
 ):
     assert ended("import", "lab.toml", "--out", "lab", "--weight", "1.8") == 0
     text = 'name = "L2"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\nheight_m = {}\nsize_m = {}\n'
-    for size, code in ((0.05, 0), (0.06, 2)):  # other masses are another truth; another size is another object
+    # other masses are another truth; another size is another object, whose grasps lie elsewhere
+    for size, wrong, code in ((0.05, 0, 0), (0.06, 1, 2)):
         (lab / "mine.toml").write_text(text.format(0.03, size), encoding="utf-8")
         write_toml(lab / "second.toml", mapping_of(records[0], action=TURNS[3].to_dict(), object="mine.toml"))
-        assert ended("import", "second.toml", "3.csv", "--out", "lab") == 0
+        assert ended("import", "second.toml", "3.csv", "--out", "lab") == wrong
         assert ended("estimate", "lab", "--methods", "hidden_states", "--workers", "0") == code
     assert "allowed: trials of one shape; " in capsys.readouterr().err
     assert_allclose(load_results("lab")["true_mass_kg"][0], 0.3)

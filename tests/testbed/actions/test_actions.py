@@ -103,6 +103,13 @@ REFUSED: list[tuple[type[Action], dict[str, object], str]] = [
 ]
 
 
+@pytest.mark.parametrize(("field", "value"), [("object", "L2"), ("support", "rigid")])
+def test_a_trial_of_a_name_is_refused(field: str, value: str):
+    with pytest.raises(InvalidValueError) as refused:
+        replace(Trial(load_object("L2"), Rotate(0)), **{field: value})
+    assert refused.value.field == f"Trial.{field}"
+
+
 @pytest.mark.parametrize(("kind", "fields", "field"), REFUSED)
 def test_an_action_out_of_range_is_refused(kind, fields: dict[str, object], field: str):
     for make in (

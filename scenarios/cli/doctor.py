@@ -48,7 +48,11 @@ def doctor(
     from viz.figures.maps import save_figure
 
     check_results(folder)
-    rows = [row for row in load_rows(folder) if row.get("trial_keys") is not None and row["seed"] == draw]
+    if not (every := load_rows(folder)):
+        raise InvalidValueError(
+            "DIR", str(folder), "a results folder with estimates: heft run, heft touch or heft estimate"
+        )
+    rows = [row for row in every if row.get("trial_keys") is not None and row["seed"] == draw]
     known = list(dict.fromkeys(str(row["object"]) for row in rows))
     for name in objects:
         if name not in known:

@@ -319,7 +319,7 @@ def load_object(
     path = find_file(name_or_path, asset_folder("objects"), "object")
     parsed = load_toml(path, ObjectFile)
     if not (measured or parsed.has_masses):
-        allowed = "masses: only what a real robot measures is made without them"
+        allowed = "masses: only what a real robot measures, or heft plan with --weight, is made without them"
         raise InvalidValueError("mass_kg", None, allowed, file=path)
     files = [path.parent / part.file for part in parsed.mesh.parts] if parsed.mesh else []
     stamps = tuple(file.stat().st_mtime_ns for file in files if file.is_file())

@@ -194,7 +194,8 @@ def test_files_are_whole_and_the_same_again(tmp_path, monkeypatch):
     assert pdf.startswith(b"%PDF")
     assert b"/FontFile2" in pdf, "text stays text, in a font that a publisher takes"
     assert png.startswith(b"\x89PNG")
-    again = save_figure(estimate_bars(estimate()), tmp_path / "again")
+    again = save_figure(estimate_bars(estimate()), tmp_path / "again.png")
+    assert [path.name for path in again] == ["again.pdf", "again.png"]
     assert [path.read_bytes() for path in again] == [pdf, png]
     broken = estimate_bars(estimate())
     monkeypatch.setattr(broken, "savefig", lambda content, **_: content.write(b"half") and 1 / 0)

@@ -134,9 +134,10 @@ def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
 
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PDF and PNG; returns the files, which are `path` with each suffix."""
+    """Write a figure as PDF and PNG; returns the files, which are `path`, without one of these, with each suffix."""
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
-    files = {kind: path.with_name(f"{path.name}.{kind}") for kind in stamps}
+    name = path.stem if path.suffix in (".pdf", ".png") else path.name
+    files = {kind: path.with_name(f"{name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
         lay_out(figure)
         for kind, stamp in stamps.items():  # the same figure is the same file

@@ -224,6 +224,11 @@ def test_what_is_not_there_is_named(results, capsys):
         assert wanted in capsys.readouterr().err
 
 
+def test_doctor_of_a_folder_without_estimates_names_the_folder(tmp_path, capsys):
+    assert ended("doctor", str(tmp_path)) == 2
+    assert "DIR: got " in capsys.readouterr().err
+
+
 def test_a_recording_is_found_and_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

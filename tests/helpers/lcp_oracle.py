@@ -6,6 +6,7 @@ z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Pot
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,13 +127,13 @@ def _reach(z: np.ndarray, dz: np.ndarray, w: np.ndarray, dw: np.ndarray) -> floa
 
 def rollout(engine: LcpEngine, model, inertia, friction, pose, velocity, wrench, grasp, dt: float):
     """Poses and velocities after each of T wrenches in open loop; arguments as in `explicit_rollout`."""
-    poses, velocities, guesses = [], [], []
-    for t in range(wrench.shape[-2]):
-        ends = (wrench[..., t, :], wrench[..., min(t + 1, wrench.shape[-2] - 1), :])
-        pose, velocity = engine.advance(model, inertia, friction[..., t, :], pose, velocity, ends, grasp, dt, guesses)
-        poses.append(pose)
-        velocities.append(velocity)
-    return torch.stack(poses, -2), torch.stack(velocities, -2)
+    last, guesses = wrench.shape[-2] - 1, []
+
+    def advance(t: int, pose: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        ends = wrench[..., t, :], wrench[..., min(t + 1, last), :]
+        return engine.advance(model, inertia, friction[..., t, :], pose, velocity, ends, grasp, dt, guesses)
+
+    return _open_loop(last + 1, pose, velocity, advance)
 
 
 def explicit_rollout(
@@ -146,10 +147,21 @@ def explicit_rollout(
     dt: float,
 ) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
     """Open loop over T wrenches: poses and velocities after each step. Friction is mu_i N_i at each step, N."""
-    poses, velocities = [], []
-    for t in range(wrench.shape[-2]):
+
+    def advance(t: int, pose: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         a = acceleration(model, inertia, friction[..., t, :], pose, velocity, wrench[..., t, :], grasp)
-        pose, velocity = step(pose, velocity, a, dt)
+        return step(pose, velocity, a, dt)
+
+    return _open_loop(wrench.shape[-2], pose, velocity, advance)
+
+
+def _open_loop(
+    count: int, pose: Tensor, velocity: Tensor, advance: Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]
+) -> tuple[Tensor, Tensor]:
+    """Poses and velocities after each of some steps."""
+    poses, velocities = [], []
+    for t in range(count):
+        pose, velocity = advance(t, pose, velocity)
         poses.append(pose)
         velocities.append(velocity)
     return torch.stack(poses, -2), torch.stack(velocities, -2)

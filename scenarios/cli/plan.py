@@ -256,11 +256,11 @@ def plan(
     from testbed.sensing.noise import read_scale
     from testbed.sensing.presets import preset
     from testbed.trial import support_of
-    from testbed.validation import check_weight
+    from testbed.validation import check_kilograms
     from testbed.worlds.presets import world as world_of
 
     if weight is not None:
-        check_weight("--weight", weight)
+        check_kilograms("--weight", weight)
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
     carrier, goal = search.assumed_support or support_of(model.shape).name, search.goal
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated

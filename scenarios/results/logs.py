@@ -22,7 +22,7 @@ from testbed.robot.runner import read_off
 from testbed.toml import load_toml
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
 from testbed.trial import Support, Trial, parse_support, support_of
-from testbed.validation import check_weight
+from testbed.validation import check_kilograms
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def import_logs(
     if not paths:
         raise InvalidValueError("LOG", None, f"one log or more, or [[logs]] tables in {mapping}")
     if weight is not None:
-        check_weight("--weight", weight)
+        check_kilograms("--weight", weight)
     logged = {path.resolve(): path for path in paths}.values()  # several [[logs]] may name one
     entries = [(path, entry) for path in logged for entry in content.entries(path, mapping.parent)]
     delays = read_all(*(partial(_named, *one, partial(delay_of, one[0], mapping, entry=one[1])) for one in entries))

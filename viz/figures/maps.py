@@ -136,7 +136,7 @@ def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
 def save_figure(figure: Figure, path: Path) -> list[Path]:
     """Write a figure as PDF and PNG; returns the files, which are `path`, without one of these, with each suffix."""
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
-    name = path.stem if path.suffix in (".pdf", ".png") else path.name
+    name = path.stem if path.suffix[1:] in stamps else path.name
     files = {kind: path.with_name(f"{name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
         lay_out(figure)

@@ -93,14 +93,14 @@ def trial(
     from testbed.robot.registry import build_arm, build_gripper, build_sensor, gripper_class, load_robot_file
     from testbed.robot.runner import RealRunner, read_off, seen_place
     from testbed.trial import Trial, support_of
-    from testbed.validation import check_positive
+    from testbed.validation import check_kilograms
 
     file = load_robot_file(config)
     model = load_object(object_, measured=True, hand=file.gripper.hand)
     if action not in ("weigh", "push") and not model.shape.grasps:
         raise InvalidValueError("OBJECT", model.name, f"an object that can be gripped: {file.gripper.hand.nothing}")
     if weight is not None:
-        check_positive("--weight", weight)
+        check_kilograms("--weight", weight)
         if action != "weigh":
             raise InvalidValueError("--weight", weight, "a weight with --action weigh alone")
     if action == "push":

@@ -126,7 +126,7 @@ def test_the_version_is_one_line(capsys):
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
 def test_a_reader_that_has_read_enough_gets_no_traceback(words, unbuffered):
-    """As in `heft --help | head`."""
+    """End of `heft --help | head`: code 0, and nothing on stderr."""
     program = [sys.executable, "-c", "from scenarios.cli.main import command; command()", *words]
     read, write = os.pipe()
     os.close(read)

@@ -15,7 +15,7 @@ from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-from testbed.validation import frozen_array, is_number
+from testbed.validation import check_kilograms, frozen_array, is_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -188,6 +188,19 @@ def _checked_covariance(values: ArrayLike) -> np.ndarray:
     np.fill_diagonal(given, np.maximum(variance, 0))
     given.flags.writeable = False
     return given
+
+
+def weighed(shape: ObjectShape, weight: float | None) -> float:
+    """Weight M of a method that cannot do without it, kg.
+
+    Raises:
+        InvalidValueError: no weight, or one that no object has; or a model of the object in place of its shape.
+    """
+    if not isinstance(shape, ObjectShape):
+        raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
+    check_kilograms("weight", weight)
+    assert weight is not None
+    return weight
 
 
 @runtime_checkable

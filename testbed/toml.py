@@ -150,6 +150,8 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
         allowed = "letters, digits and any of _ . -, without spaces"
     if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
         allowed = f"a list: {json.dumps([item['input']])}"
+    if item["type"] in ("model_type", "dict_type"):
+        allowed = f"a table: [{field}]"
     return f"{short(field, str)}: got {short(item['input'])}; allowed: {allowed}"
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, ObjectModel, ObjectShape
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.seeds import seed_of
 
@@ -100,6 +101,7 @@ class Trial:
             raise InvalidValueError("Trial.object", self.object, 'an ObjectModel, such as heft.load_object("L2")')
         if not isinstance(self.support, Support):
             raise InvalidValueError("Trial.support", self.support, "heft.OWN_WEIGHT, heft.RIGID or heft.Support(N/m)")
+        preset(self.sensing)
         if self.world is not None and self.world.world.none:
             object.__setattr__(self, "world", None)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):

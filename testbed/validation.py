@@ -98,7 +98,7 @@ def check_positive(name: str, value: float) -> None:
         raise InvalidValueError(name, value, "a finite number > 0")
 
 
-def check_kilograms(name: str, value: float) -> None:
+def check_kilograms(name: str, value: float | None) -> None:
     """Raise InvalidValueError unless `value` is a mass of an object in kg; one in grams is too large."""
     if not (is_number(value) and 0 < value < MOST_WEIGHT):
         raise InvalidValueError(name, value, f"a number > 0 and < {MOST_WEIGHT:g}, kg")

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.base import Estimate
+from estimators.base import Estimate, weighed
 from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import one_friction_masses
@@ -25,7 +24,6 @@ from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
-from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.trajectory import Trajectory
 
@@ -86,8 +84,7 @@ class Problem:
         Raises:
             InvalidValueError: `use_weight` without a weight.
         """
-        if use_weight and not (weight is not None and np.isfinite(weight) and weight > 0):
-            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg, or use_weight = false")
+        known = weighed(shape, weight) if use_weight else None
         if shape.chain is not None and not takes_links:
             return Estimate(None, "assumption_violated", ONE_PIECE)
         windows = observe(shape, trajectories, errors)
@@ -102,7 +99,6 @@ class Problem:
             return Estimate(None, "underdetermined", why)
         loads = AffineLoads.of(shape, model, windows, LOADS[support])
         wrenches = WrenchModel.of(model, windows, loads, errors.pivot_error)
-        known = weight if use_weight else None
         return Problem(shape, model, windows, loads, wrenches, known, errors, support)
 
     @staticmethod

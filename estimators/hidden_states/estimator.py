@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from estimators.base import Estimate, Trace
+from estimators.base import Estimate, Trace, weighed
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
 from estimators.hidden_states.equations import LinearSystem
@@ -87,8 +87,7 @@ class HiddenStates:
             InvalidValueError: no weight, which Algorithm 1 needs.
         """
         begin = time.perf_counter()
-        if weight is None or not (np.isfinite(weight) and weight > 0):
-            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        weight = weighed(shape, weight)
         return replace(self._rounds(shape, weight, trajectories), seconds=time.perf_counter() - begin)
 
     def _rounds(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:

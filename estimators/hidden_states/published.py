@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from torch import Tensor
 
-from estimators.base import Estimate, HiddenStateEstimate, Trace
+from estimators.base import Estimate, HiddenStateEstimate, Trace, weighed
 from estimators.descent import OPTIMIZERS, check_optimizers, descend
 from estimators.evaluation.judged import misfit_on
 from estimators.hidden_states.estimator import Solver
@@ -81,8 +81,7 @@ class PublishedHiddenStates:
             InvalidValueError: no weight, which Algorithm 1 needs.
         """
         begin = time.perf_counter()
-        if weight is None or not (np.isfinite(weight) and weight > 0):
-            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        weight = weighed(shape, weight)
         if shape.chain is not None:
             return Estimate(None, "assumption_violated", ONE_PIECE)
         trials = TrialWindows.of(shape, weight, trajectories, ModelErrors())

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from estimators.base import Estimate
+from estimators.base import Estimate, weighed
 from estimators.learned.checkpoint import COMMAND, FALSE_ALARM, LEAST_FREEDOM, Checkpoint, default_path
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import MISFIT, SUMMARY, Question, ask
@@ -99,8 +99,7 @@ class Learned:
             DamagedFileError: a damaged checkpoint.
         """
         begin = time.perf_counter()
-        if weight is None or not (np.isfinite(weight) and weight > 0):
-            raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+        weight = weighed(shape, weight)
         self.check_installed()
         network, learned = self._loaded()
         if why := _unlike(shape, trajectories, learned):

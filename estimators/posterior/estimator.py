@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.base import Estimate
+from estimators.base import Estimate, weighed
 from estimators.particles.lifts import lifts_among
 from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY, observe
 from estimators.posterior.in_air import InAir
@@ -52,7 +52,7 @@ class Bayes:
         Raises:
             InvalidValueError: no weight.
         """
-        begin = time.perf_counter()
+        begin, weight = time.perf_counter(), weighed(shape, weight)
         if self.support != "rigid" and not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
         if self.support != "own_weight" and shape.chain is not None:
@@ -98,8 +98,7 @@ def posterior_of(
     Raises:
         InvalidValueError: no weight, or a grasp that the shape does not have.
     """
-    if weight is None or not (np.isfinite(weight) and weight > 0):
-        raise InvalidValueError("weight", weight, "M as weighed, a finite number > 0, kg")
+    weight = weighed(shape, weight)
     errors = errors or ERRORS[support]
     windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
     if windows is None or bool(windows.accelerated.all()):

@@ -123,11 +123,13 @@ def actions_of(
     from testbed.actions.lift import Lift
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
+    from testbed.validation import check_integer
 
     shape, allowed = model.shape, named_grasps(model, grasps)
-    for name, count in (("slides", slides), ("pushes", pushes)):
-        if count < 0 or (count and name == "pushes" and shape.chain is not None):
-            raise InvalidValueError(name, count, "an integer >= 0; no pushes of an object with hinges")
+    for name, count in (("pivots", pivots), ("accelerated", accelerated), ("slides", slides), ("pushes", pushes)):
+        check_integer(name, count, least=0)
+    if pushes and shape.chain is not None:
+        raise InvalidValueError("pushes", pushes, "0: an object with hinges is not pushed")
     most = 0 if support != "rigid" else math.inf
     if not 0 <= lifts <= most:
         raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")

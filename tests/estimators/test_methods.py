@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -150,9 +151,11 @@ def test_a_wrong_setting_is_refused(kind, settings, allowed):
     assert allowed in refused.value.allowed
 
 
-@pytest.mark.parametrize("kind", [HiddenStates, PublishedHiddenStates])
-@pytest.mark.parametrize("weight", [None, 0.0, -1.0, math.nan])
+@pytest.mark.parametrize("kind", [HiddenStates, PublishedHiddenStates, Bayes, partial(RandomSearch, use_weight=True)])
+@pytest.mark.parametrize("weight", [None, 0.0, -1.0, math.nan, 450.0, "1.8"])
 def test_no_weight_is_refused(kind, weight):
     obj = drawn_object(0)
     with pytest.raises(InvalidValueError, match=r"^weight:"):
         kind().estimate(obj.shape, weight, turns(obj), 0)
+    with pytest.raises(InvalidValueError, match=r"^shape: got ObjectModel.*; allowed: an ObjectShape"):
+        kind().estimate(obj, 0.4, turns(obj), 0)

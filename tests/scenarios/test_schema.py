@@ -67,6 +67,7 @@ def test_a_methods_setting_can_be_swept():
         ({"sweep": {"axes": {"policy.touches": [2, 3]}}}, "policy.touches.*reversed_pairs uses: policy.pivots.*most"),
         ({"policy": {"kind": "greedy"}, "sweep": {"axes": {"policy.most": [2, 3]}}}, "policy.most.*policy.touches"),
         ({"sensing": "ft300s"}, "sensing: got 'ft300s'; allowed: a list: .*ft300s"),
+        ({"grid": 3}, r"grid: got 3; allowed: a table: \[grid\]"),
         ({"sweep": {"mode": "both"}}, "mode"),
         ({"sweep": {"axes": {"sweep.mode": ["zip"]}}}, "sweep.mode"),
         ({"sweep": {"axes": {"seeds.more": [1]}}}, "seeds.more"),

@@ -258,6 +258,12 @@ def test_the_plan_is_the_policys():
     assert len(set(directions)) == 3
 
 
+@pytest.mark.parametrize("option", ["pivots", "accelerated", "slides", "pushes"])
+def test_a_negative_number_of_actions_is_refused_by_its_option(option):
+    with pytest.raises(InvalidValueError, match=rf"^{option}: got -1; allowed: an integer >= 0"):
+        actions_of(load_object("L2"), **{option: -1})
+
+
 def test_only_the_grasps_that_are_named_are_used():
     model = load_object("L2")
     name = model.shape.grasps[1].name
@@ -273,7 +279,7 @@ LINKS = "scenarios/library/objects/fold_2.toml"
 def test_links_are_slid_and_turned_and_their_hinges_told(capsys):
     actions = actions_of(load_object(LINKS), pivots=2, slides=3)
     assert [type(action) for action in actions] == [Weigh, Rotate, Rotate, Slide, Slide, Slide]
-    with pytest.raises(InvalidValueError, match="no pushes of an object with hinges"):
+    with pytest.raises(InvalidValueError, match="pushes: got 2; allowed: 0: an object with hinges is not pushed"):
         actions_of(load_object(LINKS), pushes=2)
     main(["identify", LINKS, "--pivots", "2", "--slides", "2"])
     assert "friction of hinges: standard error" in " ".join(capsys.readouterr().out.split())

@@ -211,6 +211,11 @@ def test_an_infeasible_trial_is_refused_before_anything_moves(obj, action, grip,
         SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action))
 
 
+def test_a_trial_under_a_sensor_that_does_not_exist_is_refused():
+    with pytest.raises(InvalidValueError, match=r"^sensing: got 'ft300'; allowed: one of ideal, ft300s"):
+        Trial(row([0.4, 0.4]), Rotate(0), sensing="ft300")
+
+
 def test_feet_that_the_objects_own_weight_lifts_are_refused():
     obj = load_object("hammer")
     touching = obj.shape.friction_group.copy()

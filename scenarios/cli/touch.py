@@ -86,6 +86,8 @@ def touch(
     store = Store(folder.absolute(), f"touch/{search.seed}")
     scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[search.sensing], seeds=1)
     facts = manifest(scenario, store.secret) | {"name": folder.name, "command": _command(object_, search, support, out)}
+    # the rest of a scenario, a policy and methods by default, did not run
+    facts["scenario"] = scenario.model_dump(include={"objects", "support", "sensing", "seeds"})
     with exclusive(folder):
         store.remove_leftovers()
         write_json(folder / "manifest.json", facts | {"finished": False})

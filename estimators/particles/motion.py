@@ -12,13 +12,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from testbed.objects.chain import speeds
+from testbed.objects.chain import velocities
 from testbed.objects.model import ObjectShape
 from testbed.sensing.windows import PARTS, SteadyWindow
 
 STANDING, MOST_STANDING = 0.002, 0.2
-"""Speed below which a particle of a link may stand, m/s, and the part of a link's particles that may: one at which
-the link turns counts as an error."""
+"""Speed below which a particle of a link stands, m/s, and the part of a link's particles that may: one at which the
+link turns counts as an error."""
+SURE = 2.0
+"""Standard deviations of the camera's errors within which a whole link may stand, or start or stop."""
 MAX_ACCELERATION = 0.8
 """Angular acceleration of a link that starts or stops, rad/s^2: its drag is not Coulomb's of the mean motion."""
 
@@ -134,12 +136,18 @@ class LinkMotion:
         """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
         chain = self.shape.chain
         assert chain is not None and self.window.grasp is not None
-        sure = 2 * np.linalg.norm(self.window.turned_errors[:, 2], axis=1)
-        if (np.abs(self.window.turned[..., 2]) - sure > MAX_ACCELERATION).any():
+        unsure = SURE * np.linalg.norm(self.window.turned_errors[:, 2], axis=1)
+        if (np.abs(self.window.turned[..., 2]) - unsure > MAX_ACCELERATION).any():
             return True
-        links, offsets = self.links(), self.shape.particles - self.shape.grasps[self.window.grasp].position
+        offsets = self.shape.particles - self.shape.grasps[self.window.grasp].position
         of = chain.link[self.shape.mass_group]
-        return any((speeds(links, k, offsets[of == k]) < STANDING).mean() > MOST_STANDING for k in range(chain.links))
+        return any(self._stands(k, offsets[of == k]) for k in range(chain.links))
+
+    def _stands(self, link: int, offsets: Float[np.ndarray, "P 2"]) -> bool:
+        """True if part of a link stands, or all of it may; `offsets` are its particles' from the grasp point, m."""
+        moving, off = (velocities(each[..., link, None, :], offsets) for each in (self.links(), self.links_off()))
+        speed, errors = np.linalg.norm(moving, axis=-1).mean(0), np.linalg.norm((off - moving).mean(1), axis=(0, -1))
+        return bool((speed < STANDING).mean() > MOST_STANDING or (speed < STANDING + SURE * errors).all())
 
     def links(self) -> Float[np.ndarray, "S L 9"]:
         """Motion of every link as `Chain.moved`."""

@@ -102,11 +102,6 @@ def checked_torques(name: str, torques: Iterable[float], chain: Chain | None) ->
     return checked
 
 
-def speeds(links: Float[np.ndarray, "S L 9"], link: int, offsets: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
-    """Mean speed of particles of a link [m/s], at `offsets` from the grasp point as the chain lies [m]."""
-    return np.linalg.norm(velocities(links[:, link, None], offsets), axis=-1).mean(axis=0)
-
-
 def velocities(own: Float[np.ndarray, "S P 9"], offsets: Float[np.ndarray, "... P 2"]) -> Float[np.ndarray, "S P 2"]:
     """Velocities of particles [m/s] whose links move so, at `offsets` from the grasp point as the chain lies [m]."""
     c, s = np.cos(own[..., :1]), np.sin(own[..., :1])

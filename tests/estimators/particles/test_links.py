@@ -14,6 +14,7 @@ from estimators.evaluation.metrics import hinge_columns
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
+from estimators.particles.motion import LinkMotion, Planned
 from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
@@ -28,13 +29,14 @@ from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.frames import rotation_2d
+from testbed.frames import perpendicular, rotation_2d
 from testbed.objects.chain import Chain
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
+from testbed.sensing.windows import PARTS
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings
 from testbed.trajectory import Trajectory
@@ -74,6 +76,29 @@ def drags(obj: ObjectModel) -> list[Slide | Rotate]:
 @cache
 def trials_of(obj: ObjectModel) -> list[Trajectory]:
     return [analytic_links(obj, action) for action in drags(obj)]
+
+
+@pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])
+def test_a_link_that_may_be_at_rest_for_all_a_camera_sees_is_left_out(error, unsteady):
+    """The hand turns about the hinge, so that the other link rests; its rate is seen as 0.2 rad/s."""
+    shape, part = TWO.shape, np.ones((PARTS, 1))
+    arm = shape.grasps[0].position - shape.chain.hinges[0]
+    turned, errors = np.zeros((PARTS, 2, 3)), np.zeros((2, 3, 4))
+    turned[:, :, 1], errors[1, 1, 0] = (0.5, 0.2), error
+    window = Planned(
+        trial=0,
+        accelerated=False,
+        grasp=0,
+        point=None,
+        since_tare=np.array([0.0, 1.0]),
+        twists=part * [*0.5 * perpendicular(arm), 0.5],
+        acceleration=np.zeros(3),
+        spin_square=0.25,
+        poses=part * np.zeros(3),
+        turned=turned,
+        turned_errors=errors,
+    )
+    assert LinkMotion(shape, window).is_unsteady == unsteady
 
 
 def test_hinges_join_links_and_rates_are_those_of_places():

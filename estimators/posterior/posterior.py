@@ -37,6 +37,8 @@ SEEN = 1e-6
 LEAST_SHOWN = 0.02
 """Least part of the prior's variance that measurements are taken to explain of a nuisance: below it they show nothing,
 and what the search leaves of its optimum would count. Ours."""
+DISTANCE = 0.02
+"""Step of z by which the change of a volume is taken."""
 IMPLAUSIBLE = 1e-6
 """Probability below which a part of a misfit is no chance, many parts being looked at."""
 
@@ -81,8 +83,9 @@ class Part:
 class Posterior:
     """Laplace approximation about the most likely unknowns.
 
-    Slopes where nuisances fit the noise show more information than there is, so the information is taken at the masses
-    and frictions found in the nominal setup.
+    Masses and frictions are those of `mode`, nuisances and the misfit those of `optimum`. Slopes where nuisances fit
+    the noise show more information than there is: the information is taken at the masses and frictions of `optimum` in
+    the nominal setup.
     """
 
     unknowns: Unknowns
@@ -107,6 +110,33 @@ class Posterior:
         if "rigid_share" in self.unknowns.at:
             found[self.unknowns.at["rigid_share"]] = True
         return self.optimum.z * found
+
+    @cached_property
+    def mode(self) -> Float[Tensor, "n"]:
+        """Most likely z with the nuisances marginalized over, and the likely nuisances there.
+
+        At `optimum` the joint density is largest. Masses and frictions scale what nuisances change, and with it the
+        volume that the measurements leave to them; the slope of its logarithm moves the mode by up to an error
+        (Laplace's approximation to the marginal density, to first order).
+        """
+        z, own = self.optimum.z, self.of_object & (self.unknowns.std > 0)
+        rows = [Whitened.of(found) for found in self._at_optimum]
+        error = self.laplace.diagonal()[own].sqrt()
+        ridge = self.laplace[:, own] @ torch.linalg.inv(self.laplace[own][:, own])
+
+        def volume(slopes: Sequence[Tensor]) -> float:
+            of_nuisances = torch.cat(list(slopes))[:, ~self.of_object]
+            eye = torch.eye(of_nuisances.shape[1], dtype=torch.float64)
+            return -float(torch.linalg.slogdet(of_nuisances.T @ of_nuisances + eye)[1]) / 2
+
+        now, slope = volume([row.slopes for row in rows]), torch.zeros_like(error)
+        for k, way in enumerate(ridge.T):
+            there = [each.linearized(self.unknowns, z + DISTANCE * way).slopes for each in self.measurements]
+            slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
+        step = self.laplace[:, own] @ slope
+        # the slope holds within about an error
+        farthest = float((step[own] / error).abs().amax()) if len(error) else 0.0
+        return self.unknowns.stepped(z, step / max(farthest, 1.0))
 
     @cached_property
     def information(self) -> Float[Tensor, "n n"]:
@@ -272,7 +302,7 @@ class Posterior:
 
     def estimate(self, shape: ObjectShape) -> Estimate:
         """Masses and frictions as an answer, its status by the misfit and by the directions that are open."""
-        values, mass = self.unknowns.values(self.optimum.z), self.unknowns.at["mass"]
+        values, mass = self.unknowns.values(self.mode), self.unknowns.at["mass"]
         at = MassDistribution(values["mass"].numpy(), values["friction"].numpy())
         report = identifiability(shape, at, self.rows.numpy())
         misfit = self.explained
@@ -304,7 +334,8 @@ class Posterior:
         block, where = self.unknowns.blocks[name], self.unknowns.at[name]
         std = self.covariance.diagonal()[where].clamp(min=0).sqrt()
         scale = 1.0 if name in OBJECT else block.std.flatten()
-        return block.value(self.optimum.z[where]), (std * scale).reshape(block.mean.shape)
+        z = self.mode if name in OBJECT else self.optimum.z
+        return block.value(z[where]), (std * scale).reshape(block.mean.shape)
 
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
@@ -315,7 +346,7 @@ class Posterior:
         """
         own, rng = self.of_object, np.random.default_rng(seed)
         covariance = (self.covariance[own][:, own] * self.explained.widening).numpy()
-        found = [self.unknowns.values(self.optimum.z)[name].numpy() for name in OBJECT]
+        found = [self.unknowns.values(self.mode)[name].numpy() for name in OBJECT]
         mean, std = np.concatenate(found), np.sqrt(covariance.diagonal())
         in_logarithm = np.sqrt(np.log1p((std / np.maximum(mean, SMALLEST)) ** 2))
         root = np.linalg.cholesky(covariance / np.outer(std, std))

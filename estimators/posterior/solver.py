@@ -69,9 +69,9 @@ class Whitened:
         both = _over(roots, torch.cat([found.residual[:, None], found.slopes], 1))
         return Whitened(both[:, 0], both[:, 1:], roots)
 
-    def other(self, residual: Float[Tensor, "R"]) -> Float[Tensor, "R"]:
-        """Another residual over the same errors."""
-        return _over(self.roots, residual[:, None])[:, 0]
+    def over(self, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
+        """Other values over the same errors."""
+        return _over(self.roots, values)
 
 
 def _over(roots: Blocks, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
@@ -138,4 +138,4 @@ def solve(
 
 def _residual(z: Float[Tensor, "n"], found: Sequence[Linearized], rows: Sequence[Whitened]) -> Float[Tensor, "R"]:
     """Whitened residuals at other z."""
-    return torch.cat([white.other(each.elsewhere(z)) for each, white in zip(found, rows, strict=True)])
+    return torch.cat([white.over(each.elsewhere(z)[:, None])[:, 0] for each, white in zip(found, rows, strict=True)])

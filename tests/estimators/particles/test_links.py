@@ -81,8 +81,9 @@ def trials_of(obj: ObjectModel) -> list[Trajectory]:
 @pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])
 def test_a_link_that_may_be_at_rest_for_all_a_camera_sees_is_left_out(error, unsteady):
     """The hand turns about the hinge, so that the other link rests; its rate is seen as 0.2 rad/s."""
-    shape, part = TWO.shape, np.ones((PARTS, 1))
-    arm = shape.grasps[0].position - shape.chain.hinges[0]
+    shape, chain, part = TWO.shape, TWO.shape.chain, np.ones((PARTS, 1))
+    assert chain is not None
+    arm = shape.grasps[0].position - chain.hinges[0]
     turned, errors = np.zeros((PARTS, 2, 3)), np.zeros((2, 3, 4))
     turned[:, :, 1], errors[1, 1, 0] = (0.5, 0.2), error
     window = Planned(

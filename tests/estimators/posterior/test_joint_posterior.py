@@ -372,6 +372,47 @@ def test_a_search_that_finds_no_descent_has_not_converged():
     assert not ended.converged and ended.rounds == 1
 
 
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """y = f (1 + g) + noise, a gain g a reading."""
+
+    y: Tensor
+    size: float
+    """Standard deviation of a gain, as a part."""
+    error: float
+    parts: list = field(default_factory=list)
+
+    def linearized(self, unknowns: Unknowns, z: Tensor) -> Linearized:
+        friction, at = unknowns.values(z)["friction"], unknowns.at["friction"]
+        gain, count = 1 + self.size * z[unknowns.at["gain"]], len(self.y)
+        slopes = torch.zeros(count, len(unknowns), dtype=torch.float64)
+        slopes[:, at] = gain[:, None] * unknowns.blocks["friction"].scale(z[at])
+        slopes[:, unknowns.at["gain"]] = self.size * friction * torch.eye(count, dtype=torch.float64)
+        blocks = [(torch.arange(count)[None], self.error**2 * torch.eye(count, dtype=torch.float64)[None])]
+
+        def elsewhere(other: Tensor) -> Tensor:
+            return unknowns.values(other)["friction"] * (1 + self.size * other[unknowns.at["gain"]]) - self.y
+
+        return Linearized(elsewhere(z), slopes, blocks, elsewhere)
+
+
+@pytest.mark.parametrize("error", [0.005, 0.02])
+def test_the_mode_is_that_of_the_marginal_density(error):
+    """With the gains integrated over, readings are normal about f of variance f^2 s^2 + error^2."""
+    size, y = 0.2, 0.4 * (1 + 0.2 * NOISE[:12]) + error * NOISE[12:24]
+    one = torch.ones(1, dtype=torch.float64)
+    gains = Block.normal(torch.ones(12, dtype=torch.float64))
+    unknowns = Unknowns({"mass": Block.known(one), "friction": Block.log_normal(0.4, 1.0, 1), "gain": gains})
+    rows = Gains(y, size, error)
+    found = Posterior(unknowns, [rows], solve([rows], unknowns, unknowns.start(friction=0.4)))
+    z = torch.linspace(-1, 1, 20001, dtype=torch.float64)[:, None]
+    friction = 0.4 * z.exp()
+    variance = (friction * size) ** 2 + error**2
+    exact = float(z[(((y - friction) ** 2 / variance + variance.log()).sum(1) + z[:, 0] ** 2).argmin()])
+    joint, marginal = (float(at[unknowns.at["friction"]]) for at in (found.optimum.z, found.mode))
+    assert abs(marginal - exact) < 0.25 * abs(joint - exact)
+
+
 @pytest.mark.parametrize("unknown", [1, 2])
 def test_the_evidence_of_a_linear_model_is_exact(unknown):
     found, slopes = posterior(unknown, 1.0), DESIGN[:, :unknown]

@@ -72,6 +72,7 @@ def identify(
         out: heatmap of the standard errors in g, written as FILE.pdf and FILE.png.
     """
     from estimators.identifiability.information import Assumptions, expected
+    from estimators.posterior.posterior import loose_groups
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
     from testbed.trial import support_of
@@ -90,6 +91,10 @@ def identify(
     console.print(_errors_table(model, report))
     condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is observed"
     console.print(f"{report.sentence}; {condition}")
+    count = model.shape.particles_per_group
+    loose = loose_groups(model.shape, model.truth.mass, report.covariance / np.outer(count, count))
+    if loose and report.rank == report.unknowns:
+        console.print(f"hardly known: {', '.join(loose)}")
     if out is not None:
         for path in save_figure(error_figure(model, report.standard_error, title), out):
             print(path)

@@ -332,6 +332,14 @@ def test_a_weighing_alone_shows_one_direction(capsys):
     assert "1 of 7 masses and frictions are observed" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("pivots", "loose"), [("2", "hardly known: B1 0.100 +- 0.1"), ("12", "")])
+def test_groups_that_trials_hardly_show_are_named(pivots, loose, capsys):
+    main(["identify", "L2", "--world", "lab", "--pivots", pivots, "--accelerated", "0"])
+    said = capsys.readouterr().out
+    assert "all 7 masses and frictions are observed" in said
+    assert (loose in said) if loose else "hardly known" not in said
+
+
 def test_a_sensor_that_is_not_there_is_refused(capsys):
     with pytest.raises(SystemExit) as end:
         main(["identify", "L2", "--sensing", "nose"])

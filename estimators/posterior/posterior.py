@@ -39,6 +39,8 @@ LEAST_SHOWN = 0.02
 and what the search leaves of its optimum would count. Ours."""
 DISTANCE = 0.02
 """Step of z by which the change of a volume is taken."""
+LEAST_SHIFT = 0.05
+"""Part of an error up to which a mode stays where the joint one is. Ours."""
 IMPLAUSIBLE = 1e-6
 """Probability below which a part of a misfit is no chance, many parts being looked at."""
 
@@ -122,6 +124,9 @@ class Posterior:
         z, own = self.optimum.z, self.of_object & (self.unknowns.std > 0)
         rows = [Whitened.of(found) for found in self._at_optimum]
         error = self.laplace.diagonal()[own].sqrt()
+        # what nuisances change is in proportion to masses and frictions, so each number that they fit counts once
+        fitted = (1 - self.laplace.diagonal()[~self.of_object]).sum()
+        shifted = torch.nonzero(fitted * self.unknowns.std[own] * error > LEAST_SHIFT).flatten().tolist()
         ridge = self.laplace[:, own] @ torch.linalg.inv(self.laplace[own][:, own])
 
         def volume(slopes: Sequence[Tensor]) -> float:
@@ -130,8 +135,9 @@ class Posterior:
             return -float(torch.linalg.slogdet(of_nuisances.T @ of_nuisances + eye)[1]) / 2
 
         now, slope = volume([row.slopes for row in rows]), torch.zeros_like(error)
-        for k, way in enumerate(ridge.T):
-            there = [each.linearized(self.unknowns, z + DISTANCE * way).slopes for each in self.measurements]
+        for k in shifted:
+            at = z + DISTANCE * ridge[:, k]
+            there = [each.linearized(self.unknowns, at).slopes for each in self.measurements]
             slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
         step = self.laplace[:, own] @ slope
         # the slope holds within about an error

@@ -184,7 +184,13 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
             raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
         text = StringIO("\n".join(lines[i] for i in kept))
         table = pd.read_csv(
-            text, sep=mapping.separator, dtype=str, header=None, skipinitialspace=True, skip_blank_lines=False
+            text,
+            sep=sought,
+            engine="c" if len(sought) == 1 else "python",  # which takes a pattern
+            dtype=str,
+            header=None,
+            skipinitialspace=True,
+            skip_blank_lines=False,
         )
     except (OSError, ValueError) as error:
         raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None

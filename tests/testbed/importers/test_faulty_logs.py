@@ -107,6 +107,7 @@ def test_tables_are_read_as_people_save_them(coding: str, tmp_path: Path):
         read(path, mapping)
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("end", "separator"), [("\r", "\t"), ("\n", r"\s+"), ("\n", "[\t;]")])
 def test_any_line_end_and_a_pattern_of_separators_are_read(end: str, separator: str, tmp_path: Path):
     path, mapping, table = logged(tmp_path)

@@ -14,7 +14,7 @@ from estimators.particles.lifts import LiftErrors, lift_covariance, upright_size
 from estimators.posterior.solver import Linearized
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.air import Air, nominal
-from estimators.wrench.jacobian import Theta
+from estimators.wrench.jacobian import Slopes, Theta
 from estimators.wrench.setup import stated_sizes
 from testbed.objects.model import ObjectShape
 from testbed.sensing.lift_windows import LiftWindow
@@ -66,11 +66,16 @@ class InAir:
         theta = unknowns.of(SHARED, z)[0]
         rows, slopes = self.air.linearized(nominal(theta, self.own))
         covariance = lift_covariance(self.shape, self.windows, slopes, self.own, self.errors, self.weight)
-        shared = {name: slope for name, slope in slopes.items() if name in theta}
-        columns = unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
-        blocks = [(torch.arange(len(columns))[None], torch.tensor(covariance)[None])]
+        blocks = [(torch.arange(rows.numel())[None], torch.tensor(covariance)[None])]
+
+        def columns(slopes: Slopes, z: Tensor) -> Tensor:
+            shared = {name: slope for name, slope in slopes.items() if name in theta}
+            return unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
 
         def elsewhere(z: Tensor) -> Tensor:
             return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read
 
-        return Linearized(rows.flatten() - self.read, columns, blocks, elsewhere)
+        def steepness(z: Tensor) -> Tensor:
+            return columns(self.air.linearized(unknowns.of(SHARED, z)[0])[1], z)
+
+        return Linearized(rows.flatten() - self.read, columns(slopes, z), blocks, elsewhere, steepness)

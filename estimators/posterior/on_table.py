@@ -196,11 +196,17 @@ class OnTable:
 
         rows, carried = self._rows(theta, own)
         off, blocks = rows - self.read, errors.blocks(carried)
-        slopes = self._slopes(theta | more, own | {"carried": errors.shrunken_load(off, carried, blocks)})
-        others = {name: slopes.pop(name) for name in more}
-        columns = unknowns.columns(slopes, self._trial, z).flatten(0, 1)
+        load = errors.shrunken_load(off, carried, blocks)
+
+        def columns(z: Tensor, more: Theta) -> tuple[Tensor, Slopes]:
+            theta, own = self._at(unknowns, z)
+            slopes = self._slopes(theta | more, own | {"carried": load})
+            others = {name: slopes.pop(name) for name in more}
+            return unknowns.columns(slopes, self._trial, z).flatten(0, 1), others
+
+        found, others = columns(z, more)
         taken = partial(errors.taken, carried, blocks)
-        return Linearized(off.flatten(), columns, blocks, elsewhere, taken), others
+        return Linearized(off.flatten(), found, blocks, elsewhere, lambda z: columns(z, {})[0], taken), others
 
     def _errors(self, theta: Theta) -> TableErrors:
         """Errors of the rows at some unknowns."""

@@ -137,7 +137,7 @@ class Posterior:
         now, slope = volume([row.slopes for row in rows]), torch.zeros_like(error)
         for k in shifted:
             at = z + DISTANCE * ridge[:, k]
-            there = [each.linearized(self.unknowns, at).slopes for each in self.measurements]
+            there = [found.steepness(at) for found in self._at_optimum]
             slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
         step = self.laplace[:, own] @ slope
         # the slope holds within about an error

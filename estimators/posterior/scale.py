@@ -58,5 +58,7 @@ class Scale:
         def elsewhere(z: Tensor) -> Tensor:
             return (count @ unknowns.values(z)["mass"] - self.reading)[None]
 
-        slopes = unknowns.columns({"mass": count[None, None]}, first, z)[0]
-        return Linearized(elsewhere(z), slopes, blocks, elsewhere)
+        def steepness(z: Tensor) -> Tensor:
+            return unknowns.columns({"mass": count[None, None]}, first, z)[0]
+
+        return Linearized(elsewhere(z), steepness(z), blocks, elsewhere, steepness)

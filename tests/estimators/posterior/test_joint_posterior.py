@@ -348,7 +348,7 @@ class Rows:
     def linearized(self, unknowns: Unknowns, z: Tensor) -> Linearized:
         slopes = DESIGN[:, : len(unknowns)]
         blocks = [(torch.arange(ROWS)[None], self.variance * torch.eye(ROWS, dtype=torch.float64)[None])]
-        return Linearized(slopes @ z - self.y, slopes, blocks, lambda other: slopes @ other - self.y)
+        return Linearized(slopes @ z - self.y, slopes, blocks, lambda at: slopes @ at - self.y, lambda _: slopes)
 
 
 def posterior(unknown: int, variance: float) -> Posterior:
@@ -383,17 +383,14 @@ class Gains:
     parts: list = field(default_factory=list)
 
     def linearized(self, unknowns: Unknowns, z: Tensor) -> Linearized:
-        friction, at = unknowns.values(z)["friction"], unknowns.at["friction"]
-        gain, count = 1 + self.size * z[unknowns.at["gain"]], len(self.y)
-        slopes = torch.zeros(count, len(unknowns), dtype=torch.float64)
-        slopes[:, at] = gain[:, None] * unknowns.blocks["friction"].scale(z[at])
-        slopes[:, unknowns.at["gain"]] = self.size * friction * torch.eye(count, dtype=torch.float64)
-        blocks = [(torch.arange(count)[None], self.error**2 * torch.eye(count, dtype=torch.float64)[None])]
+        eye = torch.eye(len(self.y), dtype=torch.float64)
 
-        def elsewhere(other: Tensor) -> Tensor:
-            return unknowns.values(other)["friction"] * (1 + self.size * other[unknowns.at["gain"]]) - self.y
+        def predicted(z: Tensor) -> Tensor:
+            return unknowns.values(z)["friction"] * (1 + self.size * z[unknowns.at["gain"]])
 
-        return Linearized(elsewhere(z), slopes, blocks, elsewhere)
+        blocks = [(torch.arange(len(self.y))[None], self.error**2 * eye[None])]
+        slopes = torch.func.jacfwd(predicted)
+        return Linearized(predicted(z) - self.y, slopes(z), blocks, lambda z: predicted(z) - self.y, slopes)
 
 
 @pytest.mark.parametrize("error", [0.005, 0.02])

@@ -85,9 +85,8 @@ class Part:
 class Posterior:
     """Laplace approximation about the most likely unknowns.
 
-    Masses and frictions are those of `mode`, nuisances and the misfit those of `optimum`. Slopes where nuisances fit
-    the noise show more information than there is: the information is taken at the masses and frictions of `optimum` in
-    the nominal setup.
+    Frictions are those of `mode`, all else is that of `optimum`. Slopes where nuisances fit the noise show more
+    information than there is, so the information is taken at the masses and frictions found in the nominal setup.
     """
 
     unknowns: Unknowns
@@ -115,34 +114,39 @@ class Posterior:
 
     @cached_property
     def mode(self) -> Float[Tensor, "n"]:
-        """Most likely z with the nuisances marginalized over, and the likely nuisances there.
+        """`optimum.z`, with each friction where its own density is largest, all else marginalized.
 
-        At `optimum` the joint density is largest. Masses and frictions scale what nuisances change, and with it the
+        At `optimum` the joint density is largest. A friction scales what masses and nuisances change, and with it the
         volume that the measurements leave to them; the slope of its logarithm moves the mode by up to an error
         (Laplace's approximation to the marginal density, to first order).
         """
-        z, own = self.optimum.z, self.of_object & (self.unknowns.std > 0)
+        z, own = self.optimum.z, torch.zeros_like(self.of_object)
+        own[self.unknowns.at["friction"]] = self.unknowns.blocks["friction"].std > 0
+        if not own.any():
+            return z
         rows = [Whitened.of(found) for found in self._at_optimum]
-        error = self.laplace.diagonal()[own].sqrt()
-        # what nuisances change is in proportion to masses and frictions, so each number that they fit counts once
-        fitted = (1 - self.laplace.diagonal()[~self.of_object]).sum()
+        inside = self.laplace[own][:, own]
+        error = inside.diagonal().sqrt()
+        # what the others change is in proportion to friction, so each number that they fit counts once
+        fitted = (1 - self.laplace.diagonal()[~own]).sum()
         shifted = torch.nonzero(fitted * self.unknowns.std[own] * error > LEAST_SHIFT).flatten().tolist()
-        ridge = self.laplace[:, own] @ torch.linalg.inv(self.laplace[own][:, own])
+        ridge = self.laplace[:, own] @ torch.linalg.inv(inside)
 
         def volume(slopes: Sequence[Tensor]) -> float:
-            of_nuisances = torch.cat(list(slopes))[:, ~self.of_object]
-            eye = torch.eye(of_nuisances.shape[1], dtype=torch.float64)
-            return -float(torch.linalg.slogdet(of_nuisances.T @ of_nuisances + eye)[1]) / 2
+            others = torch.cat(list(slopes))[:, ~own]
+            eye = torch.eye(others.shape[1], dtype=torch.float64)
+            return -float(torch.linalg.slogdet(others.T @ others + eye)[1]) / 2
 
         now, slope = volume([row.slopes for row in rows]), torch.zeros_like(error)
         for k in shifted:
             at = z + DISTANCE * ridge[:, k]
             there = [found.steepness(at) for found in self._at_optimum]
             slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
-        step = self.laplace[:, own] @ slope
+        step = inside @ slope
         # the slope holds within about an error
-        farthest = float((step[own] / error).abs().amax()) if len(error) else 0.0
-        return self.unknowns.stepped(z, step / max(farthest, 1.0))
+        moved = z.clone()
+        moved[own] += step / max(float((step / error).abs().amax()), 1.0)
+        return moved
 
     @cached_property
     def information(self) -> Float[Tensor, "n n"]:

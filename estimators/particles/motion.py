@@ -141,11 +141,16 @@ class LinkMotion:
             return True
         offsets = self.shape.particles - self.shape.grasps[self.window.grasp].position
         of = chain.link[self.shape.mass_group]
-        return any(self._stands(k, offsets[of == k]) for k in range(chain.links))
+        links, off = self.links(), self.links_off()
+        each = ((links[:, k, None], off[:, :, k, None], offsets[of == k]) for k in range(chain.links))
+        return any(self._stands(*link) for link in each)
 
-    def _stands(self, link: int, offsets: Float[np.ndarray, "P 2"]) -> bool:
+    @staticmethod
+    def _stands(
+        link: Float[np.ndarray, "S 1 9"], link_off: Float[np.ndarray, "E S 1 9"], offsets: Float[np.ndarray, "P 2"]
+    ) -> bool:
         """True if part of a link stands, or all of it may; `offsets` are its particles' from the grasp point, m."""
-        moving, off = (velocities(each[..., link, None, :], offsets) for each in (self.links(), self.links_off()))
+        moving, off = velocities(link, offsets), velocities(link_off, offsets)
         speed, errors = np.linalg.norm(moving, axis=-1).mean(0), np.linalg.norm((off - moving).mean(1), axis=(0, -1))
         return bool((speed < STANDING).mean() > MOST_STANDING or (speed < STANDING + SURE * errors).all())
 

@@ -75,7 +75,7 @@ class InAir:
         def elsewhere(z: Tensor) -> Tensor:
             return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read
 
-        def steepness(z: Tensor) -> Tensor:
+        def slopes_at(z: Tensor) -> Tensor:
             return columns(self.air.linearized(unknowns.of(SHARED, z)[0])[1], z)
 
-        return Linearized(rows.flatten() - self.read, columns(slopes, z), blocks, elsewhere, steepness)
+        return Linearized(rows.flatten() - self.read, columns(slopes, z), blocks, elsewhere, slopes_at)

@@ -120,16 +120,15 @@ class Posterior:
         volume that the measurements leave to them; the slope of its logarithm moves the mode by up to an error
         (Laplace's approximation to the marginal density, to first order).
         """
-        z, own = self.optimum.z, torch.zeros_like(self.of_object)
-        own[self.unknowns.at["friction"]] = self.unknowns.blocks["friction"].std > 0
-        if not own.any():
-            return z
-        rows = [Whitened.of(found) for found in self._at_optimum]
+        z, own, std = self.optimum.z, torch.zeros_like(self.of_object), self.unknowns.blocks["friction"].std
+        own[self.unknowns.at["friction"]] = std > 0
         inside = self.laplace[own][:, own]
         error = inside.diagonal().sqrt()
         # what the others change is in proportion to friction, so each number that they fit counts once
         fitted = (1 - self.laplace.diagonal()[~own]).sum()
-        shifted = torch.nonzero(fitted * self.unknowns.std[own] * error > LEAST_SHIFT).flatten().tolist()
+        shifted = torch.nonzero(fitted * std[std > 0] * error > LEAST_SHIFT).flatten().tolist()
+        if not shifted:
+            return z
         ridge = self.laplace[:, own] @ torch.linalg.inv(inside)
 
         def volume(slopes: Sequence[Tensor]) -> float:
@@ -137,10 +136,11 @@ class Posterior:
             eye = torch.eye(others.shape[1], dtype=torch.float64)
             return -float(torch.linalg.slogdet(others.T @ others + eye)[1]) / 2
 
-        now, slope = volume([row.slopes for row in rows]), torch.zeros_like(error)
+        rows, slope = self._rows_at_optimum, torch.zeros_like(error)
+        now = volume([row.slopes for row in rows])
         for k in shifted:
             at = z + DISTANCE * ridge[:, k]
-            there = [found.steepness(at) for found in self._at_optimum]
+            there = [found.slopes_at(at) for found in self._at_optimum]
             slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
         step = inside @ slope
         # the slope holds within about an error
@@ -257,9 +257,13 @@ class Posterior:
         return [measurement.linearized(self.unknowns, self.optimum.z) for measurement in self.measurements]
 
     @cached_property
+    def _rows_at_optimum(self) -> list[Whitened]:
+        return [Whitened.of(found) for found in self._at_optimum]
+
+    @cached_property
     def _precision(self) -> Float[Tensor, "n n"]:
         """Precision of z at the most likely unknowns."""
-        slopes = torch.cat([Whitened.of(found).slopes for found in self._at_optimum])
+        slopes = torch.cat([rows.slopes for rows in self._rows_at_optimum])
         return slopes.T @ slopes + torch.eye(len(self.unknowns), dtype=torch.float64)
 
     @cached_property

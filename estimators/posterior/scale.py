@@ -58,7 +58,7 @@ class Scale:
         def elsewhere(z: Tensor) -> Tensor:
             return (count @ unknowns.values(z)["mass"] - self.reading)[None]
 
-        def steepness(z: Tensor) -> Tensor:
+        def slopes_at(z: Tensor) -> Tensor:
             return unknowns.columns({"mass": count[None, None]}, first, z)[0]
 
-        return Linearized(elsewhere(z), steepness(z), blocks, elsewhere, steepness)
+        return Linearized(elsewhere(z), slopes_at(z), blocks, elsewhere, slopes_at)

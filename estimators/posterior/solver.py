@@ -36,7 +36,7 @@ class Linearized:
     """Covariance of their errors."""
     elsewhere: Callable[[Float[Tensor, "n"]], Float[Tensor, "R"]]
     """Residual at other z."""
-    steepness: Callable[[Float[Tensor, "n"]], Float[Tensor, "R n"]]
+    slopes_at: Callable[[Float[Tensor, "n"]], Float[Tensor, "R n"]]
     """Slopes at other z."""
     taken: Callable[[], float] = float
     """Number of rows that go into unknowns of the measurement's own, as the load of a gripper."""

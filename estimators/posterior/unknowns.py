@@ -87,11 +87,6 @@ class Unknowns:
             begin += block.mean.numel()
         object.__setattr__(self, "at", at)
 
-    @property
-    def std(self) -> Float[Tensor, "n"]:
-        """Prior standard deviations; 0 of known parameters."""
-        return torch.cat([block.std.flatten() for block in self.blocks.values()])
-
     def __len__(self) -> int:
         return sum(block.mean.numel() for block in self.blocks.values())
 

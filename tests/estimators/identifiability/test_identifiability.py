@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -260,8 +261,9 @@ def test_the_plan_is_the_policys():
 
 @pytest.mark.parametrize("option", ["pivots", "accelerated", "slides", "pushes"])
 def test_a_negative_number_of_actions_is_refused_by_its_option(option):
+    options: dict[str, Any] = {option: -1}
     with pytest.raises(InvalidValueError, match=rf"^{option}: got -1; allowed: an integer >= 0"):
-        actions_of(load_object("L2"), **{option: -1})
+        actions_of(load_object("L2"), **options)
 
 
 def test_only_the_grasps_that_are_named_are_used():

@@ -26,6 +26,10 @@ from testbed.trajectory import Trajectory
 CREEP = 1e-5
 """Speed over which friction changes sign [m/s]: a particle that sticks creeps by less."""
 NEWTON_STEPS, HALVINGS = 30, 30
+ROUNDING = 1e-13
+"""Part by which rounding may raise a dissipation."""
+CONVERGED = 1e-9
+"""Last step of a velocity [m/s, rad/s]: what it leaves is in proportion to its square over `CREEP`."""
 OPEN_LOOP = 1.0
 """Time after which an open loop is looked at besides its end [s]."""
 FINE, COARSE = 2, 10
@@ -86,13 +90,14 @@ def open_loop(
     mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
     wrench = np.array([t.wrench.numpy()[samples] for t, samples in zip(turns, at, strict=True)])
-    path = [pose]
+    path, before = [pose], velocity
     for k in range(count):
         step, pushed, turn = dt[:, k, None], wrench[:, k], rotation_2d(pose[:, 2])
         lever = np.einsum("wij,wj->wi", turn, hand)
         torque = pushed[:, 2] + lever[:, 0] * pushed[:, 1] - lever[:, 1] * pushed[:, 0]
         free = velocity + step * np.column_stack([pushed[:, :2], torque]) / mass
-        velocity = _after_friction(mass, free, velocity, arms @ turn.swapaxes(1, 2), step * friction.numpy())
+        change, before = velocity - before, velocity
+        velocity = _after_friction(mass, free, velocity + change, arms @ turn.swapaxes(1, 2), step * friction.numpy())
         path.append(pose := pose + step * velocity)
     reached = torch.tensor(np.array(path)).transpose(0, 1)
     near, end = (
@@ -115,41 +120,48 @@ def _after_friction(
     """Velocities after an implicit step with Coulomb friction: the minimum of each step's dissipation by Newton.
 
     The step is implicit since friction can stop an object within a step of the record. `mass` is (M, M, I_cm), `free`
-    the velocity without friction, `arms` the particles from the center of mass [m], world axes, and `bound` the
-    greatest friction impulse of each [N s].
+    the velocity without friction, `start` where the search starts, `arms` the particles from the center of mass [m],
+    world axes, and `bound` the greatest friction impulse of each [N s].
     """
-    across = perpendicular(arms)
-    parts = np.concatenate([np.ones((*bound.shape, 1)), across, (across * across).sum(-1, keepdims=True)], -1)
+    ahead, aside = perpendicular(arms).transpose(2, 0, 1)
+    one = np.ones_like(ahead)
+    parts = np.stack([one, ahead, aside, ahead * ahead + aside * aside], -1)
+    inertia = np.diag(mass)
 
-    def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        slip = v[:, None, :2] + v[:, None, 2:] * across
-        speed = np.sqrt((slip * slip).sum(-1) + CREEP**2)
+    def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        x, y = v[:, :1] + v[:, 2:] * ahead, v[:, 1:2] + v[:, 2:] * aside
+        speed = np.sqrt(x * x + y * y + CREEP**2)
         off = v - free
-        return 0.5 * (off * off) @ mass + (bound * (speed - CREEP)).sum(-1), slip, speed
+        return 0.5 * (off * off) @ mass + (bound * speed).sum(-1), x, y, speed
 
-    v, open_ = start, np.ones(len(start), dtype=bool)
-    least, slip, speed = value(v)
+    v, open_ = start, np.ones((len(start), 1), dtype=bool)
+    least, x, y, speed = value(v)
     for _ in range(NEWTON_STEPS):
-        along = slip / speed[..., None]
         pull = bound / speed
-        same = np.concatenate([along, (along * across).sum(-1, keepdims=True)], -1)
+        x, y = x / speed, y / speed
+        same = np.stack([x, y, x * ahead + y * aside], -1)  # (W, P, 3)
         gradient = mass * (v - free) + (bound[:, None] @ same)[:, 0]
-        every, x, y, square = (pull[:, None] @ parts)[:, 0].T
-        none = np.zeros_like(every)
-        hessian = np.stack([every, none, x, none, every, y, x, y, square], -1).reshape(-1, 3, 3)
-        hessian += np.diag(mass) - (same * pull[..., None]).swapaxes(1, 2) @ same
-        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_[:, None]
-        now, slip, speed = value(v + step)
+        hessian = inertia - same.swapaxes(1, 2) @ (same * pull[..., None])
+        every, of_x, of_y, square = (pull[:, None] @ parts)[:, 0].T
+        hessian[:, 0, 0] += every
+        hessian[:, 1, 1] += every
+        hessian[:, 2, 2] += square
+        hessian[:, 0, 2] += of_x
+        hessian[:, 2, 0] += of_x
+        hessian[:, 1, 2] += of_y
+        hessian[:, 2, 1] += of_y
+        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_
+        open_ = np.abs(step).max(1, keepdims=True) > CONVERGED
+        if not open_.any():
+            return v + step
+        now, x, y, speed = value(v + step)
         for _ in range(HALVINGS):
-            worse = now > least
+            worse = now > least * (1 + ROUNDING)
             if not worse.any():
                 break
             step = np.where(worse[:, None], step / 2, step)
-            now, slip, speed = value(v + step)
+            now, x, y, speed = value(v + step)
         v, least = v + step, now
-        open_ = open_ & ~(np.abs(step).max(1) < 1e-13 + 1e-11 * np.abs(v).max(1))
-        if not open_.any():
-            break
     return v
 
 

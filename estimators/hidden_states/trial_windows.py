@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -75,12 +75,12 @@ class TrialWindows:
         """The scale that read M."""
         return Weighing.of(self.shape, self.errors.weight_error, self.windows.setup)
 
-    @property
+    @cached_property
     def steady(self) -> Observations:
         """Windows of constant speed."""
         return self.windows.where(~self.windows.accelerated)
 
-    @property
+    @cached_property
     def accelerated(self) -> Observations:
         """Windows of constant acceleration."""
         return self.windows.where(self.windows.accelerated)

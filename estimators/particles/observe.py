@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 import torch
@@ -41,7 +41,12 @@ def observe(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    errors = errors or ModelErrors()
+    return _observed(shape, tuple(trajectories), errors or ModelErrors())
+
+
+@lru_cache(maxsize=8)
+def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: ModelErrors) -> Observations | None:
+    """Windows of the last trials: every method on them, and every misfit, asks for the same."""
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -100,12 +101,13 @@ def posterior_of(
     """
     weight = weighed(shape, weight)
     errors = errors or ERRORS[support]
-    windows, lifts = observe(shape, trajectories, errors), lifts_among(shape, trajectories)
-    if windows is None or bool(windows.accelerated.all()):
+    on_table, lifts = (
+        _on_table(shape, tuple(trajectories), support, errors, unknown_bias),
+        lifts_among(shape, trajectories),
+    )
+    if on_table is None:
         return None
-    if unknown_bias:
-        windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
-    on_table = OnTable.of(shape, windows, support, errors)
+    windows = on_table.windows
     setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
     unknowns = priors(shape, setup, errors, weight, on_table.trials, joined=support == "springs")
     if at is not None:
@@ -117,3 +119,20 @@ def posterior_of(
     known["rigid_share"] = rigid_share
     start = unknowns.start(**{name: value for name, value in known.items() if name in unknowns.blocks})
     return Posterior(unknowns, measurements, solve(measurements, unknowns, start))
+
+
+@lru_cache(maxsize=4)
+def _on_table(
+    shape: ObjectShape,
+    trajectories: tuple[Trajectory, ...],
+    support: JoinedSupport,
+    errors: ModelErrors,
+    unknown_bias: bool,
+) -> OnTable | None:
+    """Trials on the table; None without any at constant speed. Every method's misfit asks for those of the same."""
+    windows = observe(shape, trajectories, errors)
+    if windows is None or bool(windows.accelerated.all()):
+        return None
+    if unknown_bias:
+        windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
+    return OnTable.of(shape, windows, support, errors)

@@ -123,11 +123,12 @@ class PublishedHiddenStates:
         traces: tuple[Trace, ...] = ()
         if self.solver == "closed_form":
             s = torch.tensor(nnls(Q.numpy(), b.numpy())[0])
-        else:  # while not timeout: compute the forward dynamics, L(s) and its gradient, s = s - rate * gradient
+        else:
+            # while not timeout: L(s) and its gradient, s = s - rate * gradient; the forward dynamics are affine in s
             rate = self.learning_rate * trials.steady.drag / int(trials.model.contact.sum())
             rates = {"adam": rate, "rmsprop": rate, "plain": 0.5 / float(Q.square().sum())}
             runs = descend(
-                lambda s: errors(s).square().sum(-1),
+                lambda s: (s @ Q.T - b).square().sum(-1),
                 torch.zeros(n_s).double(),
                 {name: rates[name] for name in self.optimizers},
                 self.steps,

@@ -24,7 +24,7 @@ from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior.in_air import InAir
-from estimators.posterior.on_table import SHARED, OnTable
+from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import OBJECT
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Weighing
@@ -264,7 +264,7 @@ class _Trials:
             found = OnTable.of(self.shape, kept, assumptions.support, assumptions.model_errors)
             found = replace(found, alone=True)
             if planned:
-                found = found.predicting(self.unknowns.of(SHARED, self.unknowns.start())[0])
+                found = found.predicting(*found.at(self.unknowns, self.unknowns.start()))
             yield from self._rows(found)
 
     def _rows(self, measurement: Measurement) -> list[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import torch
@@ -48,8 +48,8 @@ class ContactPatterns:
     The first two are affine, and carry a group off the middle of its points; the others keep its load and moments.
     """
 
-    part: Float[Tensor, "P C q"]
-    """Part of a group's load on each point: a column per pattern of its own group."""
+    of_group: Float[Tensor, "P*C n_m*q"]
+    """Part of its group's load on each point: a column per pattern of each group."""
     count: Int[Tensor, "n_m"]
     """Number of points of each group."""
     radial: Float[Tensor, "n_m q"]
@@ -68,19 +68,19 @@ class ContactPatterns:
         ]
         taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
         count = torch.tensor([len(at) for at in taken])
-        part = torch.zeros(*points.shape[:2], int(count.max()) - 1, dtype=torch.float64)
+        part = torch.zeros(*points.shape[:2], groups, int(count.max()) - 1, dtype=torch.float64)
         radial = torch.zeros(groups, part.shape[-1], dtype=torch.float64)
         for group, (particle, point) in enumerate(at.unbind(1) for at in taken):
             if len(point) <= 3:
                 continue
             arm = points[particle, point] - points[particle, point].mean(0)
             ways = torch.linalg.qr(torch.cat([torch.ones_like(arm[:, :1]), arm], 1), mode="complete")[0][:, 1:]
-            part[particle, point, : ways.shape[1]] = ways
+            part[particle, point, group, : ways.shape[1]] = ways
             square = arm.square().sum(1)
             outward = ways[:, 2:].T @ square
             if outward.norm() > ALIKE * square.norm():
                 radial[group, 2 : ways.shape[1]] = outward / outward.norm() / len(point) ** 0.5
-        return ContactPatterns(part, count, radial)
+        return ContactPatterns(part.flatten(2).flatten(0, 1), count, radial)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +93,19 @@ class OnTable:
     """Forward model, with the fields of support and sensor in its windows."""
     patterns: ContactPatterns
     errors: ModelErrors
+    by_place: Float[Tensor, "K P n"] | None = None
+    """Friction under each particle by the amplitude of every wave of the table's; None where it is the same."""
     alone: bool = False
     """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
+    _last: list[tuple[Tensor, TableErrors]] = field(default_factory=list, init=False, repr=False)
+    """Masses and frictions of which errors were asked for last, and these errors."""
 
     @staticmethod
     def of(shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors) -> OnTable:
         """Windows under a `JoinedSupport`."""
         model, setup = ParticleModel.of(shape), windows.setup
         table = windows.table(model, errors.pivot_error)
-        if setup.place_friction:
-            table = table.on_field
+        by_place = table.field() if setup.place_friction else None
         balanced = windows.articulated and bool(setup.contact_points)
         alone = "own_weight" if support == "springs" else support
         loads = Support.of(alone, model, table.lever, windows.held, balanced=balanced)
@@ -120,7 +123,7 @@ class OnTable:
         # links turn within a window, a rigid object hardly does
         parts = table.windows if windows.articulated else _halved(table.windows)
         table = Table(model, table.points, parts | fields, table.pivot_error)
-        return OnTable(shape, windows, table, ContactPatterns.of(model, table.points), errors)
+        return OnTable(shape, windows, table, ContactPatterns.of(model, table.points), errors, by_place)
 
     @cached_property
     def springs(self) -> Springs:
@@ -138,12 +141,14 @@ class OnTable:
         """Number of trials."""
         return int(self._trial.max()) + 1
 
-    def predicting(self, theta: Theta) -> OnTable:
-        """Windows that show what the forward model predicts of some unknowns."""
-        wrench = vmap(lambda window: self.wrench(theta, window), chunk_size=self.table.chunk)(self._windows(theta))
+    def predicting(self, theta: Theta, own: Theta | None = None) -> OnTable:
+        """Windows that show what the forward model predicts of unknowns that all share, and of those of each."""
+        own = own or {}
+        predict = vmap(lambda own, window: self.wrench(theta | own, window), chunk_size=self.table.chunk)
+        wrench = predict(own, self._windows(theta))
         table = replace(self.table, windows=self.table.windows | {"force": wrench[:, :2]})
         planned = replace(self, windows=replace(self.windows, wrench=wrench[:, :3]), table=table)
-        read = planned._rows(theta, {})[0][:, :6]
+        read = planned._rows(theta, own)[0][:, :6]
         sensed = torch.linalg.solve(self.windows.from_sensor, read[..., None])[..., 0]
         return replace(planned, windows=replace(planned.windows, sensed=sensed))
 
@@ -186,11 +191,11 @@ class OnTable:
 
     def _linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"], more: Theta) -> tuple[Linearized, Slopes]:
         """`linearized`, and derivatives in `more`, which no estimate has among its unknowns."""
-        theta, own = self._at(unknowns, z)
+        theta, own = self.at(unknowns, z)
         errors = self._errors(theta)
 
         def elsewhere(z: Tensor) -> Tensor:
-            theta, own = self._at(unknowns, z)
+            theta, own = self.at(unknowns, z)
             rows = vmap(lambda own, window: self.predict(theta | own, window), chunk_size=self.table.chunk)
             return (rows(own, self._windows(theta)) - self.read).flatten()
 
@@ -199,9 +204,11 @@ class OnTable:
         load = errors.shrunken_load(off, carried, blocks)
 
         def columns(z: Tensor, more: Theta) -> tuple[Tensor, Slopes]:
-            theta, own = self._at(unknowns, z)
+            theta, own = self.at(unknowns, z)
             slopes = self._slopes(theta | more, own | {"carried": load})
             others = {name: slopes.pop(name) for name in more}
+            if self.by_place is not None:
+                slopes["place_friction"] = slopes["place_friction"] @ self.by_place
             return unknowns.columns(slopes, self._trial, z).flatten(0, 1), others
 
         found, others = columns(z, more)
@@ -209,7 +216,14 @@ class OnTable:
         return Linearized(off.flatten(), found, blocks, elsewhere, lambda z: columns(z, {})[0], taken), others
 
     def _errors(self, theta: Theta) -> TableErrors:
-        """Errors of the rows at some unknowns."""
+        """Errors of the rows at some masses and frictions; the last ones are kept."""
+        at = torch.cat([theta["friction"], theta["mass"]])
+        if self._last and torch.equal(self._last[0][0], at):
+            return self._last[0][1]
+        self._last[:] = [(at, found := self._errors_at(theta))]
+        return found
+
+    def _errors_at(self, theta: Theta) -> TableErrors:
         model = self.table.model
         drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
         drag = drag * (LEAST_DRAG * self.windows.drag / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)).clamp(min=1.0)
@@ -239,10 +253,13 @@ class OnTable:
         trial = torch.unique(self.windows.trial, return_inverse=True)[1]
         return torch.zeros_like(trial) if self.alone else trial
 
-    def _at(self, unknowns: Unknowns, z: Tensor) -> tuple[Theta, Theta]:
-        """Unknowns that all windows share, and those of each window's trial."""
+    def at(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
+        """Unknowns that all windows share, and those of each window, as of its trial and of the table under it."""
         shared, by_trial = unknowns.of(SHARED, z)
-        return shared, {name: value[self._trial] for name, value in by_trial.items()}
+        own = {name: value[self._trial] for name, value in by_trial.items()}
+        if self.by_place is not None:
+            own["place_friction"] = self.by_place @ shared.pop("place_friction")
+        return shared, own
 
     def _slopes(self, theta: Theta, own: Theta) -> Slopes:
         """Derivatives of the rows, by the chain rule over the planar wrench: it has half as many components."""
@@ -284,7 +301,8 @@ class OnTable:
         on_group = torch.zeros(len(self.table.model.parts), dtype=torch.float64).index_add(0, group, load)
         if "contact_radius" in theta:
             pattern = pattern + theta["contact_radius"] * self.patterns.radial
-        return at_points + (on_group[group, None] * (self.patterns.part * pattern[group, None]).sum(-1))
+        part = (self.patterns.of_group @ pattern.flatten()).reshape(self.table.points.shape[:2])
+        return at_points + on_group[group, None] * part
 
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
         """Lift and moment of the gripper on the feet, N and N m.

@@ -55,7 +55,7 @@ def priors(
     if uneven:
         # the variance of a pattern over n points, of which as many as the points of the model are taken
         patterns = ContactPatterns.of(model, model.points(spread=True))
-        size = (uneven / patterns.count.clamp(min=1)).sqrt()[:, None].repeat(1, patterns.part.shape[-1])
+        size = (uneven / patterns.count.clamp(min=1)).sqrt()[:, None].repeat(1, patterns.radial.shape[-1])
         size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
         blocks[pattern] = Block.normal(size)
         if not model.stands_on_feet:

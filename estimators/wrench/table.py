@@ -61,7 +61,7 @@ class Table:
     """K windows of an object on the table, measured or planned.
 
     Unknowns, each 0 where it is left out: those of the setup, by their names in `SetupErrors`; `place_friction` is the
-    amplitude of every wave of `WAVES`, cosines first. Further: `mass` of every particle, kg; `friction` of every
+    part by which each particle has more friction there. Further: `mass` of every particle, kg; `friction` of every
     point of contact beyond that of the windows, N; `twist` of the hand, m/s and rad/s; `lead`, the time by which
     friction is ahead of the motion, s; `inertia`, the part by which the wrench of the acceleration is larger; `force`
     on every particle, N; `seen`, errors of the camera that sees a pushed object, and `links_seen`, of one that sees
@@ -81,9 +81,8 @@ class Table:
         count = len(self.windows["grasp"])
         return replace(self, windows=self.windows | {"drag": drag.expand(count, len(self.points))})
 
-    @cached_property
-    def on_field(self) -> Table:
-        """The windows with friction's field over the table under each particle, for `place_friction`."""
+    def field(self) -> Float[Tensor, "K P n"]:
+        """Friction under each particle by the amplitude of every wave of `WAVES`, cosines first."""
         poses, size = self.windows["poses"], WAVE_PARTS.sqrt().repeat(2)
         field = torch.zeros(*self.lever.shape[:2], len(size), dtype=torch.float64)
         cosines, sines = field.tensor_split(2, -1)
@@ -92,7 +91,7 @@ class Table:
             cosines += phase.cos()
             sines += phase.sin_()
         field *= size / poses.shape[1]
-        return replace(self, windows=self.windows | {"field": field})
+        return field
 
     @cached_property
     def undragged(self) -> Table:
@@ -272,7 +271,7 @@ class Table:
         if "foot_offset" in theta:
             more = more + self._rebalanced(theta["foot_offset"])
         if "place_friction" in theta:
-            more = more + window["field"] @ theta["place_friction"]
+            more = more + theta["place_friction"]
         if "speed_friction" in theta:
             speed = (middle.velocity.mean(0).square().sum(-1) + 1e-18).sqrt()
             more = more + theta["speed_friction"] * torch.log10(speed.clamp(1e-4, 1.0) / REFERENCE)

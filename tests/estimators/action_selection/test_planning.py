@@ -26,7 +26,7 @@ from estimators.identifiability.information import (
 )
 from estimators.identifiability.predicted import predicted_lift, predicted_windows
 from estimators.posterior.in_air import InAir
-from estimators.posterior.on_table import SHARED, OnTable
+from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale, Weighing
@@ -81,7 +81,8 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
     assert windows is not None
     unknowns = priors(shape, assumptions.setup, errors, model.total_mass, len(TRIALS))
     z = unknowns.start(mass=torch.tensor(model.truth.mass), friction=torch.tensor(model.truth.friction))
-    on_table = OnTable.of(shape, windows, support, errors).predicting(unknowns.of(SHARED, z)[0])
+    on_table = OnTable.of(shape, windows, support, errors)
+    on_table = on_table.predicting(*on_table.at(unknowns, z))
     weighing = Weighing.of(shape, max(FT300S.scale, 1e-6), assumptions.setup)
     measurements: list[Measurement] = [on_table, Scale(model.total_mass, weighing)]
     if support == "rigid":

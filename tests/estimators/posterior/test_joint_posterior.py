@@ -154,11 +154,11 @@ def patterns_of_contact() -> list[tuple[Tensor, Tensor, Tensor]]:
     model = ParticleModel.of(OBJECT.shape)
     points = model.points(spread=True)
     found = ContactPatterns.of(model, points)
+    parts = found.of_group.reshape(*points.shape[:2], OBJECT.shape.n_m, -1)
+    each = zip((model.mass_group == g for g in range(OBJECT.shape.n_m)), found.count, found.radial, strict=True)
     return [
-        (points[inside].flatten(0, 1), found.part[inside].flatten(0, 1)[:, : count - 1], radial[: count - 1])
-        for inside, count, radial in zip(
-            (model.mass_group == group for group in range(OBJECT.shape.n_m)), found.count, found.radial, strict=True
-        )
+        (points[inside].flatten(0, 1), parts[inside, :, group].flatten(0, 1)[:, : count - 1], radial[: count - 1])
+        for group, (inside, count, radial) in enumerate(each)
     ]
 
 

@@ -8,13 +8,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from testbed.actions.push import SPEEDS
 from testbed.robot.camera.interface import CameraLostError, SeenFrame, check_frame
 from testbed.sensing.camera import Camera
 
 EARLY, LATE = 0.05, 0.25
 """Times by which a stamp may be ahead of its arrival or behind it, beyond the stated delay [s]."""
-FASTEST = 0.15, 1.5
-"""Speed [m/s] and yaw rate [rad/s] that a pushed or dragged object does not keep up: a push has at most 0.05 m/s."""
+FASTEST = 1.25 * SPEEDS[1], 1.5
+"""Speed [m/s] and yaw rate [rad/s] of an object that no push or turn exceeds."""
 _NOISE = 5.0
 """Standard deviations of noise in a jump that is none."""
 JUMPS, AMONG = 2, 10

@@ -148,7 +148,7 @@ def code_of(kind: str) -> dict[str, str]:
 class Policy(BaseModel):
     """Choice of actions: by the paper's rank, by a plan before any trial or after each, or by a policy of your own."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     kind: str = "reversed_pairs"
     pivots: Annotated[int, Field(ge=1)] | None = None

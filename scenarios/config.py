@@ -20,7 +20,6 @@ from scenarios.policies import FIELDS_OF, Count, Policy
 from scenarios.runners import NamedRunner, RunnerSettings
 from testbed.errors import InvalidValueError, nearest
 from testbed.files import find_file
-from testbed.objects.files import asset_folder
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.objects.random import Family
 from testbed.plugins import RUNNER, check_name
@@ -336,21 +335,15 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
     Paths of objects are looked up beside the scenario's file first, then in the working folder.
 
     Raises:
-        InvalidValueError: no such scenario, or an object of it that is not there.
+        InvalidValueError: no such scenario.
         InvalidFileError: not TOML, or not fitting the schema.
     """
     path = find_file(name_or_path, LIBRARY, "scenario")
     scenario = load_toml(path, Scenario)
-    return path.stem, scenario.model_copy(update={"objects": [_object_of(name, path) for name in scenario.objects]})
+    return path.stem, scenario.model_copy(update={"objects": [_beside(name, path.parent) for name in scenario.objects]})
 
 
-def _object_of(name: str, scenario: Path) -> str:
+def _beside(name: str, folder: Path) -> str:
     """An object's path as seen from the scenario's folder, where there is such a file; else the name as it is."""
-    beside = scenario.parent / name
-    if name.endswith(".toml") and beside.is_file():
-        return str(beside)
-    try:
-        find_file(name, asset_folder("objects"), "objects")
-    except InvalidValueError as error:
-        raise InvalidValueError(error.field, error.given, error.allowed, file=scenario) from None
-    return name
+    beside = folder / name
+    return str(beside) if name.endswith(".toml") and beside.is_file() else name

@@ -41,7 +41,8 @@ def observe(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    return _observed(shape, tuple(trajectories), errors or ModelErrors())
+    found = _observed(shape, tuple(trajectories), errors or ModelErrors())
+    return found and found.like({name: value.clone() for name, value in found.by_window.items()})
 
 
 @lru_cache(maxsize=8)

@@ -101,10 +101,8 @@ def posterior_of(
     """
     weight = weighed(shape, weight)
     errors = errors or ERRORS[support]
-    on_table, lifts = (
-        _on_table(shape, tuple(trajectories), support, errors, unknown_bias),
-        lifts_among(shape, trajectories),
-    )
+    lifts = lifts_among(shape, trajectories)
+    on_table = _on_table(shape, tuple(trajectories), support, errors, unknown_bias)
     if on_table is None:
         return None
     windows = on_table.windows

@@ -91,10 +91,10 @@ class OnTable:
     windows: Observations
     table: Table
     """Forward model, with the fields of support and sensor in its windows."""
+    whole: Table
+    """Forward model of all parts of the windows."""
     patterns: ContactPatterns
     errors: ModelErrors
-    by_place: Float[Tensor, "K P n"] | None = None
-    """Friction under each particle by the amplitude of every wave of the table's; None where it is the same."""
     alone: bool = False
     """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
     _last: list[tuple[Tensor, TableErrors]] = field(default_factory=list, init=False, repr=False)
@@ -105,7 +105,6 @@ class OnTable:
         """Windows under a `JoinedSupport`."""
         model, setup = ParticleModel.of(shape), windows.setup
         table = windows.table(model, errors.pivot_error)
-        by_place = table.field() if setup.place_friction else None
         balanced = windows.articulated and bool(setup.contact_points)
         alone = "own_weight" if support == "springs" else support
         loads = Support.of(alone, model, table.lever, windows.held, balanced=balanced)
@@ -122,8 +121,8 @@ class OnTable:
             fields["beside"] = _beside(model, table, windows)
         # links turn within a window, a rigid object hardly does
         parts = table.windows if windows.articulated else _halved(table.windows)
-        table = Table(model, table.points, parts | fields, table.pivot_error)
-        return OnTable(shape, windows, table, ContactPatterns.of(model, table.points), errors, by_place)
+        fewer = Table(model, table.points, parts | fields, table.pivot_error)
+        return OnTable(shape, windows, fewer, table, ContactPatterns.of(model, table.points), errors)
 
     @cached_property
     def springs(self) -> Springs:
@@ -207,8 +206,8 @@ class OnTable:
             theta, own = self.at(unknowns, z)
             slopes = self._slopes(theta | more, own | {"carried": load})
             others = {name: slopes.pop(name) for name in more}
-            if self.by_place is not None:
-                slopes["place_friction"] = slopes["place_friction"] @ self.by_place
+            if "place_friction" in slopes:
+                slopes["place_friction"] = slopes["place_friction"] @ self.whole.field
             return unknowns.columns(slopes, self._trial, z).flatten(0, 1), others
 
         found, others = columns(z, more)
@@ -257,8 +256,8 @@ class OnTable:
         """Unknowns that all windows share, and those of each window, as of its trial and of the table under it."""
         shared, by_trial = unknowns.of(SHARED, z)
         own = {name: value[self._trial] for name, value in by_trial.items()}
-        if self.by_place is not None:
-            own["place_friction"] = self.by_place @ shared.pop("place_friction")
+        if "place_friction" in shared:
+            own["place_friction"] = self.whole.field @ shared.pop("place_friction")
         return shared, own
 
     def _slopes(self, theta: Theta, own: Theta) -> Slopes:

@@ -81,6 +81,7 @@ class Table:
         count = len(self.windows["grasp"])
         return replace(self, windows=self.windows | {"drag": drag.expand(count, len(self.points))})
 
+    @cached_property
     def field(self) -> Float[Tensor, "K P n"]:
         """Friction under each particle by the amplitude of every wave of `WAVES`, cosines first."""
         poses, size = self.windows["poses"], WAVE_PARTS.sqrt().repeat(2)

@@ -16,7 +16,7 @@ from testbed.toml import Positive
 class Family(BaseModel):
     """A [[random]] table: `count` objects, each a tree of blocks grown edge by edge."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")] = "random"
     count: Annotated[int, Field(ge=1, le=100_000)]

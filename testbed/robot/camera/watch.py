@@ -14,8 +14,9 @@ from testbed.sensing.camera import Camera
 
 EARLY, LATE = 0.05, 0.25
 """Times by which a stamp may be ahead of its arrival or behind it, beyond the stated delay [s]."""
-FASTEST = 1.25 * SPEEDS[1], 1.5
-"""Speed [m/s] and yaw rate [rad/s] of an object that no push or turn exceeds."""
+FASTEST = 1.25 * SPEEDS[1], 6.0
+"""Speed [m/s] and yaw rate [rad/s] that no push or turn exceeds: one block of 50 mm, pushed at the end of a face at the
+greatest speed, turns at 4.5 rad/s."""
 _NOISE = 5.0
 """Standard deviations of noise in a jump that is none."""
 JUMPS, AMONG = 2, 10

@@ -33,6 +33,14 @@ def observed(trials):
     return windows
 
 
+def test_windows_belong_to_their_caller():
+    trials = turns(OBJECT, [0])
+    first = observed(trials)
+    before = first.wrench.clone()
+    first.wrench.mul_(2.0)
+    assert_allclose(observed(trials).wrench, before, rtol=0)
+
+
 def change(trials, setup=EXACT_SETUP, **errors):
     """Change of the planar wrenches that errors of a setup are predicted to make."""
     windows = replace(observed(trials), setup=setup)

@@ -134,7 +134,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     windows = replace(
         windows, bias=0 * windows.bias, noise=1e-9 * windows.noise, seen=0 * windows.seen, links_off=still
     )
-    measured = OnTable(model.shape, windows, planned.table, planned.patterns, SHARP)
+    measured = OnTable(model.shape, windows, planned.table, planned.whole, planned.patterns, SHARP)
     measured.__dict__["read"] = planned.read + off
     found = solve([measured, scale], unknowns, unknowns.start(friction=0.3))
     assert found.converged

@@ -5,19 +5,25 @@ import math
 import socket
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from estimators.testing.analytic_world import drawn_object
+from testbed.actions.push import SPEEDS, Push
 from testbed.errors import InvalidValueError
+from testbed.objects.faces import faces
 from testbed.robot.camera.interface import CameraLostError, ObjectCamera, SeenFrame, SeenPose, seen_stream
 from testbed.robot.camera.udp import UdpCamera
+from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.config import RobotFile
 from testbed.robot.interfaces import MonotonicClock
 from testbed.robot.registry import build_camera
 from testbed.sensing.camera import CAMERAS
+from tests.fakes.analytic_push import drag_of
 from tests.helpers.pages import DOCS
 from tests.helpers.waiting import until
 
@@ -167,3 +173,15 @@ def test_a_trials_frames_lose_their_mean_delay_and_their_jumps():
     assert_allclose(stream.time_s, [0.07, 0.17, 0.27])
     assert_allclose(stream.poses[:, 0, 2], [3.0, 3.2, 3.6])
     assert (stream.position_std, stream.delay_std) == (0.001, CAMERAS["30hz"].delay_std)
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_no_frame_of_the_fastest_push_is_a_jump(part):
+    """A block of 50 mm, pushed near the end of a face, turns faster than any other object."""
+    block = drawn_object(0, ["1"])
+    push = replace(Push.into(faces(block.shape)[0], part), speed=SPEEDS[1])
+    (motion,) = drag_of(block).motion(block.shape, [push], 1 / 30)
+    frames = [SeenFrame(time, pose[None]) for time, pose in zip(motion.time_s, motion.poses, strict=True)]
+    watch = CameraWatch(replace(CAMERAS["30hz"], position=0.0, angle=0.0), 1)
+    assert len(frames) > 5
+    assert [kept for frame in frames for kept in watch.kept([frame], frame.time_s)] == frames

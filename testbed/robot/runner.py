@@ -156,8 +156,9 @@ class RealRunner:
             raw.end(self._clock.now(), *ended)
 
     def _run(self, plan: RobotPlan, raw: RawRecord | None, camera: ObjectCamera | None) -> Trajectory:
-        chain = plan.trial.object.shape.chain
-        watch = CameraWatch(self._settings.camera, 1 if chain is None else chain.links)
+        chain, action = plan.trial.object.shape.chain, plan.trial.action
+        push = max(abs(part.speed) for part in action.steady) if action.pushes else 0.0
+        watch = CameraWatch(self._settings.camera, 1 if chain is None else chain.links, push)
         guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw, camera, watch)
         execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
         failure, began = None, False

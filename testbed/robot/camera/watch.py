@@ -8,15 +8,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from testbed.actions.push import SPEEDS
 from testbed.robot.camera.interface import CameraLostError, SeenFrame, check_frame
 from testbed.sensing.camera import Camera
 
 EARLY, LATE = 0.05, 0.25
 """Times by which a stamp may be ahead of its arrival or behind it, beyond the stated delay [s]."""
-FASTEST = 1.25 * SPEEDS[1], 6.0
-"""Speed [m/s] and yaw rate [rad/s] that no push or turn exceeds: one block of 50 mm, pushed at the end of a face at the
-greatest speed, turns at 4.5 rad/s."""
+FASTEST, OF_PUSH = (0.15, 1.5), (1.25, 30.0)
+"""Speed [m/s] and yaw rate [rad/s] that an object moves at, and both per speed of a push [1, rad/m] where that is more:
+one block of 50 mm, pushed at the end of a face, turns by 22 rad a meter."""
 _NOISE = 5.0
 """Standard deviations of noise in a jump that is none."""
 JUMPS, AMONG = 2, 10
@@ -26,8 +25,10 @@ JUMPS, AMONG = 2, 10
 class CameraWatch:
     """Watch over the frames of one trial."""
 
-    def __init__(self, camera: Camera, parts: int):
+    def __init__(self, camera: Camera, parts: int, push: float = 0.0):
+        """Watch over so many parts, pushed at a speed [m/s]."""
         self._camera, self._parts = camera, parts
+        self._fastest = [max(least, of_push * push) for least, of_push in zip(FASTEST, OF_PUSH, strict=True)]
         self._last: list[tuple[float, np.ndarray] | None] = [None] * parts
         self._jumps: deque[bool] = deque(maxlen=AMONG)
 
@@ -76,8 +77,8 @@ class CameraWatch:
         turn = abs(math.remainder(pose[2] - last[1][2], math.tau))
         noise = _NOISE * math.sqrt(2)
         allowed = (
-            FASTEST[0] * time + noise * self._camera.position + 0.002,
-            FASTEST[1] * time + noise * self._camera.angle + math.radians(0.5),
+            self._fastest[0] * time + noise * self._camera.position + 0.002,
+            self._fastest[1] * time + noise * self._camera.angle + math.radians(0.5),
         )
         words = f"{way * 1e3:.0f} mm and {math.degrees(turn):.0f} deg in {time * 1e3:.0f} ms"
         return words, max(way / allowed[0], turn / allowed[1])

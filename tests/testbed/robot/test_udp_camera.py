@@ -182,6 +182,6 @@ def test_no_frame_of_the_fastest_push_is_a_jump(part):
     push = replace(Push.into(faces(block.shape)[0], part), speed=SPEEDS[1])
     (motion,) = drag_of(block).motion(block.shape, [push], 1 / 30)
     frames = [SeenFrame(time, pose[None]) for time, pose in zip(motion.time_s, motion.poses, strict=True)]
-    watch = CameraWatch(replace(CAMERAS["30hz"], position=0.0, angle=0.0), 1)
+    watch = CameraWatch(replace(CAMERAS["30hz"], position=0.0, angle=0.0), 1, SPEEDS[1])
     assert len(frames) > 5
     assert [kept for frame in frames for kept in watch.kept([frame], frame.time_s)] == frames

@@ -124,9 +124,7 @@ def _after_friction(
     world axes, and `bound` the greatest friction impulse of each [N s].
     """
     ahead, aside = perpendicular(arms).transpose(2, 0, 1)
-    one = np.ones_like(ahead)
-    parts = np.stack([one, ahead, aside, ahead * ahead + aside * aside], -1)
-    inertia = np.diag(mass)
+    parts = np.stack([np.ones_like(ahead), ahead, aside, ahead * ahead + aside * aside], -1)
 
     def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         x, y = v[:, :1] + v[:, 2:] * ahead, v[:, 1:2] + v[:, 2:] * aside
@@ -141,15 +139,10 @@ def _after_friction(
         x, y = x / speed, y / speed
         same = np.stack([x, y, x * ahead + y * aside], -1)  # (W, P, 3)
         gradient = mass * (v - free) + (bound[:, None] @ same)[:, 0]
-        hessian = inertia - same.swapaxes(1, 2) @ (same * pull[..., None])
         every, of_x, of_y, square = (pull[:, None] @ parts)[:, 0].T
-        hessian[:, 0, 0] += every
-        hessian[:, 1, 1] += every
-        hessian[:, 2, 2] += square
-        hessian[:, 0, 2] += of_x
-        hessian[:, 2, 0] += of_x
-        hessian[:, 1, 2] += of_y
-        hessian[:, 2, 1] += of_y
+        none = np.zeros_like(every)
+        hessian = np.stack([every, none, of_x, none, every, of_y, of_x, of_y, square], -1).reshape(-1, 3, 3)
+        hessian += np.diag(mass) - (same * pull[..., None]).swapaxes(1, 2) @ same
         step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_
         open_ = np.abs(step).max(1, keepdims=True) > CONVERGED
         if not open_.any():

@@ -42,7 +42,7 @@ def observe(
         InvalidValueError: a grasp that the shape does not have.
     """
     found = _observed(shape, tuple(trajectories), errors or ModelErrors())
-    return found and found.like({name: value.clone() for name, value in found.by_window.items()})
+    return None if found is None else found.like({name: value.clone() for name, value in found.by_window.items()})
 
 
 @lru_cache(maxsize=8)

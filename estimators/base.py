@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -105,6 +105,8 @@ class Estimate:
             raise InvalidValueError("Estimate.status", self.status, f"one of {', '.join(get_args(EstimateStatus))}")
         if not isinstance(self.distribution, MassDistribution | None):
             raise InvalidValueError("Estimate.distribution", self.distribution, "a MassDistribution, or None")
+        if self.distribution is None and self.status == "ok":
+            raise InvalidValueError("Estimate.distribution", None, "a MassDistribution where the status is ok")
         if self.distribution is not None and (self.distribution.mass > MOST_MASS).any():
             given = f"particles of {self.distribution.mass.max():.3g} kg"
             raise InvalidValueError("Estimate.distribution", given, f"at most {MOST_MASS:g} kg a particle")
@@ -170,6 +172,29 @@ class Estimate:
         count = 0 if self.distribution is None else len(self.distribution.mass)
         message = f", {self.message!r}" if self.message else ""
         return f"Estimate({self.status!r}{message}, {count} groups: table(shape) lists them)"
+
+
+def check_estimate(called: str, answer: Any, shape: ObjectShape) -> Estimate:
+    """The answer of an estimator, if it is an Estimate with the shape's groups.
+
+    Args:
+        called: name of the call, for the message.
+        answer: what the call returned.
+        shape: shape of the object.
+
+    Raises:
+        InvalidValueError: another type, or masses, frictions or a covariance of another size.
+    """
+    if not isinstance(answer, Estimate):
+        raise InvalidValueError(called, answer, "an Estimate of estimators.base")
+    if (found := answer.distribution) is not None and (len(found.mass), len(found.friction)) != (shape.n_m, shape.n_mu):
+        given = f"{len(found.mass)} masses, {len(found.friction)} frictions"
+        allowed = f"{shape.n_m} and {shape.n_mu}, one of each mass group and friction group"
+        raise InvalidValueError(called, given, allowed)
+    if answer.covariance is not None and len(answer.covariance) != shape.n_m:
+        allowed = f"one row and column of each of {shape.n_m} mass groups"
+        raise InvalidValueError(f"{called}.covariance", answer.covariance.shape, allowed)
+    return answer
 
 
 def _checked_covariance(values: ArrayLike) -> np.ndarray:

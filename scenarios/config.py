@@ -134,7 +134,7 @@ class Truth(Strict):
 class WorldTable(Strict):
     """A world by name, any of its quantities changed, one source of error alone, and the seed of its draws."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
     preset: str = "ideal"
     only: str = "all"
@@ -151,7 +151,7 @@ class WorldTable(Strict):
         if unknown := sorted(set(given) - set(QUANTITIES)):
             allowed = f"quantities of a world{nearest(unknown[0], QUANTITIES)}: {', '.join(QUANTITIES)}"
             raise InvalidValueError("world", unknown, allowed)
-        built = replace(named_world(self.preset), **given)
+        built = replace(named_world(self.preset, "preset"), **given)
         return built if self.only == "all" else World() if self.only == "none" else built.only(self.only)
 
     def draw(self, model: ObjectModel, number: int, secret: str) -> WorldDraw | None:

@@ -222,6 +222,11 @@ class Policy(BaseModel):
         return self.kind != "push"
 
     @property
+    def of_one_body(self) -> bool:
+        """True if its actions show the masses of a rigid object alone, not those of links."""
+        return self.lifts_last is not None
+
+    @property
     def without_grasp(self) -> Policy | None:
         """The policy for an object that no hand can turn: `pushes` of it; None where it can only be left out."""
         if self.pushes is None:

@@ -47,7 +47,7 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
         data = tomllib.loads(text)
         _check_size(data)
     except OSError as error:
-        raise InvalidFileError(f"{path}: cannot be read as TOML: {error.strerror}") from None
+        raise InvalidFileError(f"{path}: cannot be read: {error.strerror}") from None
     except RecursionError:
         raise InvalidFileError(f"{path}: cannot be read as TOML: nested deeper than {MOST_DEPTH}") from None
     except ValueError as error:  # UnicodeDecodeError and TOMLDecodeError too
@@ -131,13 +131,21 @@ def _wrong_branch(item: dict[str, Any]) -> bool:
     )
 
 
+def _joined(table: str, field: str) -> str:
+    """Name of a field in a file, from the table that was checked and the field that its class names."""
+    path = [] if table == "file" else table.split(".")
+    inner = field.split(".") if field else []
+    inner = inner[1:] if inner[1:] and inner[0][0].isupper() else inner  # Rotate.speed
+    shared = next((k for k in range(len(inner), 0, -1) if path[-k:] == inner[:k]), 0)
+    return ".".join([*path, *inner[shared:]])
+
+
 def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
     """Line of one error: field, given value, allowed values."""
     field = ".".join(str(p) for p in item["loc"] if str(p) not in _BRANCHES and "[" not in str(p)) or "file"
     cause = (item.get("ctx") or {}).get("error")
     if isinstance(cause, InvalidValueError):
-        name = f"{field}.{cause.field}".removeprefix("file.") if cause.field not in field else field
-        name = name.removeprefix(f"{field}.") if cause.field.startswith(f"{field}.") else name
+        name = _joined(field, cause.field)
         return f"{short(name, str)}: got {short(cause.given)}; allowed: {cause.allowed}"
     if item["type"] == "missing":
         return f"{field}: missing"

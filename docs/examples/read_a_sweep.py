@@ -1,10 +1,10 @@
-"""A sweep's results with pandas: python read_a_sweep.py results/blocks. NAD by method and object, and what it cost."""
+"""Results of a sweep with pandas: python read_a_sweep.py [results/blocks]. NAD by method and object, and its cost."""
 
 import sys
 
 import heft
 
-results = heft.load_results(sys.argv[1])
+results = heft.load_results(sys.argv[1] if len(sys.argv) > 1 else "results/blocks")
 answered = results[results["status"] == "ok"]
 by = ["support", "sensing", "method", "object"]
 print((100 * answered.groupby(by)["nad"].median()).unstack("object").round(1).to_string())

@@ -79,15 +79,17 @@ class ActionFamily:
             seed: seed of the draw.
 
         Raises:
-            InvalidValueError: fewer than one to draw.
+            InvalidValueError: fewer than one to draw, or pushes of an object with hinges.
         """
         if count < 1:
             raise InvalidValueError("count", count, "an integer >= 1")
         family, linked = self, shape.chain is not None
+        if linked and self.pushes:
+            raise InvalidValueError("pushes", self.pushes, "none: an object with hinges is not pushed")
         if linked:  # links can be slid and turned, and trail behind one way at constant speed
             count = min(count, MOST_DRAGS)
             family = replace(self, one_way=True, accelerated=False, lifts=False)
-        pushed = (self.pushes or not shape.grasps) and bool(faces(shape)) and not linked
+        pushed = not linked and (self.pushes or not shape.grasps) and bool(faces(shape))
         if len(grasps) == 0:
             return tuple(random_pushes(shape, min(count, MOST_PUSHES), seed)) if pushed else ()
         rng = np.random.default_rng(seed)

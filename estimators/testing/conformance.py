@@ -14,7 +14,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import predicted_rank
-from estimators.base import BatchEstimator, Estimate, Estimator
+from estimators.base import BatchEstimator, Estimate, Estimator, check_estimate
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
@@ -58,6 +58,31 @@ def data(obj: ObjectModel, scale: float = 1.0) -> list[Trajectory]:
     return turns(obj, noise=noise) + accelerated(obj, noise=noise)
 
 
+def answer_of(
+    estimator: Estimator, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], seed: int = 0
+) -> Estimate:
+    """The answer to trials.
+
+    Raises:
+        AssertionError: it is no Estimate with the shape's groups.
+    """
+    answer = estimator.estimate(shape, weight, trajectories, seed)
+    try:
+        return check_estimate("estimate()", answer, shape)
+    except InvalidValueError as error:
+        raise AssertionError(str(error)) from None
+
+
+def masses_of(answer: Estimate) -> MassDistribution:
+    """Masses and frictions of an answer that must have them.
+
+    Raises:
+        AssertionError: it has none.
+    """
+    assert answer.distribution is not None, f"no masses: status {answer.status} ({answer.message})"
+    return answer.distribution
+
+
 _CLEAN: list[tuple[Estimator, Draw, ObjectModel, Estimate]] = []
 """Last result of `clean_answer`."""
 
@@ -66,7 +91,7 @@ def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimat
     """First object, and the answer to enough clean trials of it, which the rules that only look at it share."""
     if not (_CLEAN and _CLEAN[0][0] is estimator and _CLEAN[0][1] is draw):
         obj = draw(0)
-        _CLEAN[:] = [(estimator, draw, obj, estimator.estimate(obj.shape, obj.total_mass, data(obj), 0))]
+        _CLEAN[:] = [(estimator, draw, obj, answer_of(estimator, obj.shape, obj.total_mass, data(obj)))]
     return _CLEAN[0][2:]
 
 
@@ -75,34 +100,26 @@ def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object
 
     The status is ok; of a search that ends early, unexplained.
     """
-    obj, answer = clean_answer(estimator, draw)
-    assert isinstance(answer, Estimate), "estimate() returns an Estimate of estimators.base"
-    assert answer.status in ANSWERED, answer.message
-    assert answer.distribution is not None
-    assert answer.distribution.mass.shape == (obj.shape.n_m,)
-    assert answer.distribution.friction.shape == (obj.shape.n_mu,)
-    assert answer.covariance is None or answer.covariance.shape == (obj.shape.n_m, obj.shape.n_m)
-    assert answer.seconds > 0
+    _, answer = clean_answer(estimator, draw)
+    assert answer.status in ANSWERED, f"status {answer.status} ({answer.message}) for enough clean trials"
+    masses_of(answer)
+    assert answer.seconds > 0, "Estimate.seconds is 0: set it to the wall time of the estimate"
 
 
 def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """Equal trials and seeds give equal masses and frictions, to the last bit."""
     obj = draw(1)
-    first, second = (estimator.estimate(obj.shape, obj.total_mass, data(obj), 7).distribution for _ in range(2))
-    assert first is not None
-    assert second is not None
-    assert np.array_equal(first.mass, second.mass)
-    assert np.array_equal(first.friction, second.friction)
+    first, second = (masses_of(answer_of(estimator, obj.shape, obj.total_mass, data(obj), 7)) for _ in range(2))
+    assert np.array_equal(first.mass, second.mass), f"masses {first.mass}, then {second.mass}"
+    assert np.array_equal(first.friction, second.friction), f"friction {first.friction}, then {second.friction}"
 
 
 def doubles_the_masses_when_all_wrenches_double(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """Twice the weight and twice every wrench is twice every mass, at the same friction."""
     obj = draw(1)
     twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(obj)]
-    once = estimator.estimate(obj.shape, obj.total_mass, data(obj), 0).distribution
-    double = estimator.estimate(obj.shape, 2 * obj.total_mass, twice, 0).distribution
-    assert once is not None
-    assert double is not None
+    once = masses_of(answer_of(estimator, obj.shape, obj.total_mass, data(obj)))
+    double = masses_of(answer_of(estimator, obj.shape, 2 * obj.total_mass, twice))
     assert_allclose(double.mass, 2 * once.mass, rtol=0.02, atol=0.01 * once.mass.max())
     assert_allclose(double.friction, once.friction, rtol=0.02)
 
@@ -131,10 +148,8 @@ def _order_does_not_count(estimator: Estimator, draw: Draw, mix: Callable[[np.nd
         grasps=obj.shape.grasps,
         fill=obj.shape.fill[particles],
     )
-    straight = answer.distribution
-    mixed = estimator.estimate(shuffled, obj.total_mass, data(obj), 0).distribution
-    assert straight is not None
-    assert mixed is not None
+    straight = masses_of(answer)
+    mixed = masses_of(answer_of(estimator, shuffled, obj.total_mass, data(obj)))
     assert_allclose(mixed.mass, straight.mass[groups], rtol=1e-5, atol=1e-7)
 
 
@@ -142,17 +157,17 @@ def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) ->
     """Trials given twice, and one that did not end well, are no obstacle."""
     obj = draw(2)
     failed = replace(data(obj)[0], status="slipped", reason="it slipped")
-    answer = estimator.estimate(obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]], 0)
-    assert answer.status in ANSWERED, answer.message
+    answer = answer_of(estimator, obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]])
+    assert answer.status in ANSWERED, f"status {answer.status} ({answer.message}) for more trials than enough"
 
 
 def says_so_when_there_is_too_little(estimator: Estimator, draw: Draw = drawn_object) -> None:
     """No trial, or a single turn, is no answer: a status other than ok, and why in words."""
     obj = draw(0)
     for too_little in ([], turns(obj)[:1]):
-        answer = estimator.estimate(obj.shape, obj.total_mass, too_little, 0)
+        answer = answer_of(estimator, obj.shape, obj.total_mass, too_little)
         assert answer.status != "ok", f"{len(too_little)} trial(s) got status ok"
-        assert answer.message
+        assert answer.message, f"{len(too_little)} trial(s) got status {answer.status} without a message"
 
 
 def traces_its_way(estimator: Estimator, draw: Draw = drawn_object) -> None:
@@ -212,7 +227,7 @@ def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, 
     """A status other than ok, or a misfit over its limit, from which heft gives the status itself."""
     obj = draw(0)
     for trials in ([*data(obj), *opposed(obj)], [*data(obj), *of_another(obj)]):
-        answer = estimator.estimate(obj.shape, obj.total_mass, trials, 0)
+        answer = answer_of(estimator, obj.shape, obj.total_mass, trials)
         misfit = answer.diagnostics.get("misfit", 0.0)
         assert answer.status != "ok" or misfit > UNEXPLAINED, f"status ok, diagnostics {answer.diagnostics}"
 
@@ -272,8 +287,7 @@ def recovers(
         AssertionError: with a sentence on what was answered and what is allowed.
     """
     model, limit = block.model, slack * ALLOWED[sensing]
-    answer = estimator.estimate(model.shape, block.weighed(sensing), list(trials), 0)
-    assert isinstance(answer, Estimate), f"estimate() gave a {type(answer).__name__}, not an Estimate"
+    answer = answer_of(estimator, model.shape, block.weighed(sensing), list(trials))
     where = f"{model.name}, {block.support}, sensing {sensing}"
     if answer.status != "ok":
         assert answer.message, f"{where}: status {answer.status} without a message"

@@ -5,6 +5,7 @@ Every pytest loads this where heft is installed, so it imports nothing of heft u
 
 from __future__ import annotations
 
+import argparse
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="who carries the weight of the blocks that it claims to know (default: both)",
     )
     group.addoption(
-        "--estimator-slack", metavar="X", type=float, default=1.0, help="factor on the NAD that is allowed (default: 1)"
+        "--estimator-slack", metavar="X", type=_slack, default=1.0, help="factor on the allowed NAD, > 0 (default: 1)"
     )
     group.addoption(
         "--estimator-small", action="store_true", help="hold the rules against small objects, where it takes long"
@@ -45,6 +46,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="every block under every sensor, not under one or two of them",
     )
+
+
+def _slack(text: str) -> float:
+    """Factor on the allowed NAD, from the command line."""
+    if not (number := float(text)) > 0:
+        raise argparse.ArgumentTypeError(f"got {text!r}; allowed: a number > 0")
+    return number
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -60,11 +68,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
     torch.set_num_threads(1)
     find_code_here()  # named on the command line
+    given = config.getoption("--estimator-settings")
     try:
-        settings = tomllib.loads(f"of = {{ {config.getoption('--estimator-settings')} }}")["of"]
+        settings = tomllib.loads(f"of = {{ {given} }}")["of"]
+    except tomllib.TOMLDecodeError:
+        allowed = 'settings as TOML, such as "iterations = 60, use_weight = true"'
+        raise pytest.UsageError(f"--estimator-settings: got {given!r}; allowed: {allowed}") from None
+    try:
         kind = find_class(str(name), ESTIMATOR, "--estimator")
         config.stash[_ASKED] = configured(kind, settings, "--estimator-settings")
-    except (InvalidValueError, tomllib.TOMLDecodeError) as error:
+    except InvalidValueError as error:
         raise pytest.UsageError(str(error)) from None
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from estimators.registry import METHODS, check_installed, kind_of
 from scenarios.config import Scenario
-from scenarios.study.experiment import object_paths
+from scenarios.study.experiment import check_links, object_paths
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 
@@ -128,11 +128,13 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
     """Print how many trials and estimates there are, and how long they take; nothing is run, imported or written.
 
     Raises:
-        HeftError: an object that cannot be read, or a method that lacks a package.
+        HeftError: an object that cannot be read or has links that the policy cannot handle, or a method that lacks a
+            package.
     """
     check_code(scenario, foreign=False)
     for _, point in scenario.points():
-        object_paths(point)
+        for path in object_paths(point).values():
+            check_links(point, load_object(path))
     size = DryRun.of(scenario)
     swept = f" at {size.points} points of the sweep" if size.points > 1 else ""
     console.print(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from estimators.base import Estimate
+from estimators.base import Estimate, check_estimate
 from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
@@ -331,21 +331,8 @@ def judged_answers(
             answers = [method.estimate(shape, *one) for one in zip(weights, moved, seeds, strict=True)]
     if len(answers) != len(moved):
         raise InvalidValueError(called, f"{len(answers)} answers", f"{len(moved)}, one a draw")
-    for answer in answers:
-        _check(called, answer, shape)
-    return [judged(each, shape, weight, given) for each, weight, given in zip(answers, weights, moved, strict=True)]
-
-
-def _check(called: str, answer: Any, shape: ObjectShape) -> None:
-    if not isinstance(answer, Estimate):
-        raise InvalidValueError(called, answer, "an Estimate of estimators.base")
-    if (found := answer.distribution) is not None and (len(found.mass), len(found.friction)) != (shape.n_m, shape.n_mu):
-        given = f"{len(found.mass)} masses, {len(found.friction)} frictions"
-        allowed = f"{shape.n_m} and {shape.n_mu}, one of each mass group and friction group"
-        raise InvalidValueError(called, given, allowed)
-    if answer.covariance is not None and len(answer.covariance) != shape.n_m:
-        allowed = f"one row and column of each of {shape.n_m} mass groups"
-        raise InvalidValueError(f"{called}.covariance", answer.covariance.shape, allowed)
+    checked = [check_estimate(called, answer, shape) for answer in answers]
+    return [judged(each, shape, weight, given) for each, weight, given in zip(checked, weights, moved, strict=True)]
 
 
 def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from estimators.action_selection.rank import RankDriven
 from estimators.base import ActionPolicy
 from scenarios.config import Scenario
+from scenarios.policies import PLANNED
 from scenarios.results.store import Store, key_of, object_request
 from scenarios.runners import feasible_grasps, redacted
 from testbed.actions.base import Action
@@ -160,16 +161,31 @@ def experiments_of(
     return experiments, left_out
 
 
+def check_links(point: Scenario, model: ObjectModel) -> None:
+    """Refuse an object with hinges whose masses the actions of a scenario do not show.
+
+    Raises:
+        InfeasibleTrialError: pushes, a policy for one rigid body, or another support than own weight.
+    """
+    if model.shape.chain is None:
+        return
+    plans = f"a plan ({', '.join(PLANNED)})"
+    if not point.policy.grips or point.policy.pushes:
+        raise InfeasibleTrialError(f'{model.name}: an object with hinges is not pushed; use kind = "drag" or {plans}')
+    if point.policy.of_one_body:
+        needed = f'use [policy] kind = "drag" or {plans}'
+        raise InfeasibleTrialError(f"{model.name}: {point.policy.kind} is for one rigid body, not for links; {needed}")
+    if any(support != OWN_WEIGHT for support in point.supports()):
+        raise InfeasibleTrialError(f'{model.name}: links rest on their own weight; use support = ["own_weight"]')
+
+
 def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Scenario, tuple[int, ...]]:
     """Scenario for an object, in which it is pushed where no hand can turn it, and its grasps.
 
     Raises:
         InfeasibleTrialError: it cannot be turned, and is not to be pushed.
     """
-    if model.shape.chain is not None and (not point.policy.grips or point.policy.pushes):
-        raise InfeasibleTrialError(f'{model.name}: an object with hinges is not pushed; use kind = "drag" or a plan')
-    if model.shape.chain is not None and any(support != OWN_WEIGHT for support in point.supports()):
-        raise InfeasibleTrialError(f'{model.name}: links rest on their own weight; use support = ["own_weight"]')
+    check_links(point, model)
     if not point.policy.grips:
         return point, ()
     try:

@@ -55,9 +55,11 @@ def show(
         file: .rrd file to be written, in place of any viewer.
 
     Raises:
-        InvalidValueError: something that cannot be shown, or no object beside it.
+        InvalidValueError: something that cannot be shown, no object beside it, or a file of another kind.
         ViewerError: no notebook, no display and neither `web` nor `file`.
     """
+    if file is not None and Path(file).suffix != ".rrd":
+        raise InvalidValueError("file", str(file), "a recording's name: FILE.rrd")
     page = _page(what, obj, answer)
     if file is not None:
         save(page, Path(file))

@@ -15,6 +15,9 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive_fields, frozen_array
 
+FARTHEST = 10.0
+"""Largest coordinate of the center of a turn [m]."""
+
 
 @dataclass(frozen=True)
 class Rotate(TableAction, kind="rotate"):
@@ -38,7 +41,10 @@ class Rotate(TableAction, kind="rotate"):
         if not isinstance(self.back, bool):
             raise InvalidValueError("Rotate.back", self.back, "true or false")
         if self.pivot is not None:
-            object.__setattr__(self, "pivot", tuple(frozen_array("Rotate.pivot", self.pivot, (2,)).tolist()))
+            place = frozen_array("Rotate.pivot", self.pivot, (2,))
+            if np.abs(place).max() > FARTHEST:
+                raise InvalidValueError("Rotate.pivot", self.pivot, f"within {FARTHEST:g} m of the object's origin")
+            object.__setattr__(self, "pivot", tuple(place.tolist()))
 
     @property
     def steady(self) -> tuple[Steady, ...]:

@@ -21,7 +21,7 @@ ISO = "iso"
 
 def _turn(wxyz: list[float]) -> list[float]:
     if not 0.999 < sum(q * q for q in wxyz) < 1.001:
-        raise InvalidValueError("wxyz", wxyz, "a unit quaternion, wxyz")
+        raise InvalidValueError("", wxyz, "a unit quaternion, wxyz")
     return wxyz
 
 
@@ -55,7 +55,7 @@ _COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "ya
 class Table(BaseModel):
     """Base of the tables: known fields alone, frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class TimeMap(Table):
@@ -204,7 +204,7 @@ class ToolMap(Table):
 class Columns(Table):
     """The part of a mapping file that says which column is what; a calibration needs no more."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
     separator: Text = ","
     decimal: Literal[".", ","] = "."

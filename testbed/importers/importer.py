@@ -145,8 +145,9 @@ def _entry_table(log: Path, mapping: Path, entry: LogMap | None) -> tuple[Mappin
 def _content(log: Path, table: Mapping, mapping: Path, entry: LogMap) -> tuple[tuple[Action, ObjectModel], Streams]:
     """Action, object and streams of a trial; all their errors at once."""
     source = open_log(log, table)
+    own = "" if entry.action is None else " of " + ", ".join(filter(None, (log.name, entry.stretch)))
     named, streams = read_all(
-        lambda: _action_and_object(table, mapping), lambda: Streams.of(source, table, mapping.parent)
+        lambda: _action_and_object(table, mapping, own), lambda: Streams.of(source, table, mapping.parent)
     )
     return named, streams.within(entry.from_s, entry.to_s)
 
@@ -176,7 +177,8 @@ def object_of(table: Mapping, mapping: Path) -> ObjectModel:
         raise InvalidValueError(error.field, error.given, error.allowed, file=error.file or mapping) from None
 
 
-def _action_and_object(table: Mapping, mapping: Path) -> tuple[Action, ObjectModel]:
+def _action_and_object(table: Mapping, mapping: Path, own: str) -> tuple[Action, ObjectModel]:
+    """Action and object of a trial; `own` names the log in an error where the action is not that of all logs."""
     named, model = table.recorded_action(), object_of(table, mapping)
     links = 1 if model.shape.chain is None else model.shape.chain.links
     try:
@@ -189,4 +191,4 @@ def _action_and_object(table: Mapping, mapping: Path) -> tuple[Action, ObjectMod
             raise InvalidValueError("camera.parts", f"{len(table.camera.parts)} tables", each)
         return action, model
     except InvalidValueError as error:
-        raise InvalidValueError(error.field, error.given, error.allowed, file=mapping) from None
+        raise InvalidValueError(error.field + own, error.given, error.allowed, file=mapping) from None

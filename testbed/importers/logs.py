@@ -98,7 +98,7 @@ def factor(quantity: str, unit: str) -> float:
     """
     known = FACTORS[quantity]
     if unit not in known:
-        raise InvalidValueError("unit", unit, f"a unit of {quantity}: {', '.join(known)}{nearest(unit, known, 0.6)}")
+        raise InvalidValueError("", unit, f"a unit of {quantity}: {', '.join(known)}{nearest(unit, known, 0.6)}")
     return known[unit]
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from testbed.actions.base import Action, action_from_dict
+from testbed.actions.base import KINDS, Action, action_from_dict
 from testbed.errors import InvalidValueError, nearest
 from testbed.importers.columns import CameraMap, Columns, JointMap, Table, Text, ToolMap, VelocityMap
 from testbed.objects.model import ROBOTIQ_2F85, Hand, ObjectShape
@@ -75,10 +75,10 @@ class MappedAction:
 
 def _mapped_action(table: dict[str, Any]) -> MappedAction:
     name = table.get("grasp") if isinstance(table, dict) and isinstance(table.get("grasp"), str) else ""
-    action = action_from_dict(table | {"grasp": 0} if name else table)
-    if not action.on_table:  # a log holds a motion over the table
-        raise InvalidValueError("kind", table.get("kind"), "rotate, accelerate, slide or push")
-    return MappedAction(action, str(name))
+    on_table = [known for known, action in KINDS.items() if action.on_table]
+    if isinstance(table, dict) and table.get("kind") not in on_table:  # a log holds a motion over the table
+        raise InvalidValueError("kind", table.get("kind"), f"one of {', '.join(on_table)}")
+    return MappedAction(action_from_dict(table | {"grasp": 0} if name else table), str(name))
 
 
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
@@ -123,7 +123,7 @@ class LogMap(Table):
 class Mapping(Columns):
     """A mapping file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     object: Text
     action: RecordedAction | None = None

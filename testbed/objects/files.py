@@ -42,14 +42,14 @@ Side = Annotated[float, Field(ge=0.001, le=1, allow_inf_nan=False)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 DENSEST = 2e5
 """Density of a block above which its mass is taken for grams, nine times that of osmium [kg/m^3]. Ours."""
 
 
-class Blocks(_Table, strict=True):
+class Blocks(_Table):
     """The [blocks] table of an object file."""
 
     layout: list[str]
@@ -70,7 +70,7 @@ class Blocks(_Table, strict=True):
         return self
 
 
-class HingeTable(_Table, strict=True):
+class HingeTable(_Table):
     """A [[hinges]] table of an object file: it joins the link before, or the rest of the object, to `link`."""
 
     at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -78,7 +78,7 @@ class HingeTable(_Table, strict=True):
     friction_Nm: Annotated[float, Field(ge=0, lt=100)] = 0.0
 
 
-class MeshPart(_Table, strict=True):
+class MeshPart(_Table):
     """A [[mesh.parts]] table of an object file."""
 
     name: Name
@@ -87,7 +87,7 @@ class MeshPart(_Table, strict=True):
     friction_group: Annotated[int, Field(ge=0)] | None = None
 
 
-class MeshGrasp(_Table, strict=True):
+class MeshGrasp(_Table):
     """A [[mesh.grasps]] table of an object file."""
 
     name: Name
@@ -100,7 +100,7 @@ LEAST_FEET = 3
 """Feet of a mass group, at least."""
 
 
-class FeetTable(_Table, strict=True):
+class FeetTable(_Table):
     """The [feet] table of an object file."""
 
     under_each_m: Points | None = None
@@ -144,7 +144,7 @@ class FeetTable(_Table, strict=True):
         return found
 
 
-class Mesh(_Table, strict=True):
+class Mesh(_Table):
     """The [mesh] table of an object file."""
 
     cell_m: Annotated[float, Field(ge=0.001, le=0.1, allow_inf_nan=False)]

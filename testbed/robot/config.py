@@ -114,7 +114,7 @@ Corner = Annotated[list[Place], Field(min_length=3, max_length=3)]
 class Strict(BaseModel):
     """Base of the tables: known fields alone, frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class ArmTable(Strict):

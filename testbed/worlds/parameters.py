@@ -11,9 +11,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from testbed.validation import Range
+
 FULL_SCALE = np.repeat([300.0, 30.0], 3)
 """Full scale of a wrist sensor's axes [N, N m], that of the FT-300S: cross-talk is a part of it."""
 Scope = Literal["object", "setup", "trial", "sample"]
+_MOST = {"": 1.0, "m": 0.1, "rad": 0.3, "s": 1.0, "kg": 1.0, "N": 10.0, "N m": 1.0}
+"""Largest size of an error by its unit: above it, one was stated in mm, degrees, ms or g. Ours."""
 _SHOWN = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "s": (1e3, "ms"), "kg": (1e3, "g")}
 
 
@@ -37,6 +41,8 @@ class Parameter:
     """Meaning where it explains a misfit, and the remedy."""
     least: float = 0.0
     """Least value, which is that of an exact setup."""
+    most: float | None = None
+    """Greatest value; None is that of its unit."""
     shown: tuple[float, str] | None = None
     """Factor and unit in which its size is printed; None is that of its SI unit."""
 
@@ -44,6 +50,10 @@ class Parameter:
         """Shape of one draw for an object of so many mass groups, and feet of known places."""
         counts = {"groups": groups, "feet": feet}
         return tuple(counts[each] if isinstance(each, str) else each for each in self.shape)
+
+    def check(self, field: str, value: object) -> None:
+        """Raise InvalidValueError unless a value is a finite number in the range of this parameter."""
+        Range(self.least, _MOST[self.unit] if self.most is None else self.most, self.unit).check(field, value)
 
     def formatted(self, size: float) -> str:
         """Size in words, such as "2.1 mm"."""

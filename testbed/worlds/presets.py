@@ -27,7 +27,7 @@ class World(SetupErrors):
     """Height of each contact point [m]; that of known feet is in `foot_load`."""
     start_offset: float = parameter(source="start", unit="m", shape=(2,), scope="trial")
     """Place where a trial begins along each axis of the table, which is known [m]."""
-    start_angle: float = parameter(source="start", unit="rad", scope="trial")
+    start_angle: float = parameter(source="start", unit="rad", scope="trial", most=math.pi)
     """Yaw at which a trial begins, which is known [rad]."""
     encoder_noise: float = parameter(source="encoders, delay", unit="rad", shape=(7,), scope="sample")
     """Noise of each joint angle, per sample [rad]."""
@@ -37,7 +37,7 @@ class World(SetupErrors):
     """Step of the sensor's force, the same in every draw [N]."""
     torque_resolution: float = parameter(source="filter, steps, zero", unit="N m")
     """Step of the sensor's torque, the same in every draw [N m]."""
-    zero_factor: float = parameter(1.0, source="filter, steps, zero", shape=(2,))
+    zero_factor: float = parameter(1.0, source="filter, steps, zero", shape=(2,), most=100.0)
     """Greatest factor of the sensor's bias and drift over those stated, up or down, drawn evenly in its logarithm."""
 
     def __post_init__(self) -> None:
@@ -171,7 +171,7 @@ def stated_setup(table: Any) -> Any:
         return table
     given = dict(table)
     known = list(PARAMETERS)
-    base = world(given.pop("preset")).stated if "preset" in given else UNSTATED
+    base = world(given.pop("preset"), "preset").stated if "preset" in given else UNSTATED
     if unknown := [name for name in given if name not in known]:
         raise InvalidValueError("setup", unknown, f"preset, {', '.join(known)}{nearest(unknown[0], known)}")
     return replace(base, **given)
@@ -181,12 +181,12 @@ StatedSetup = Annotated[SetupErrors, BeforeValidator(stated_setup)]
 """A [setup] table of a mapping or of a robot file."""
 
 
-def world(name: str) -> World:
-    """World by name.
+def world(name: str, field: str = "world") -> World:
+    """World by name; `field` is what to call the name in an error.
 
     Raises:
         InvalidValueError: no such world.
     """
     if not isinstance(name, str) or name not in WORLDS:
-        raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}{nearest(str(name), WORLDS)}")
+        raise InvalidValueError(field, name, f"one of {', '.join(WORLDS)}{nearest(str(name), WORLDS)}")
     return WORLDS[name]

@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from testbed.errors import InvalidValueError
-from testbed.validation import is_number
 from testbed.worlds.parameters import parameter, parameters_of
 
 
@@ -22,6 +20,7 @@ class SetupErrors:
         source="contacts",
         shape=("groups",),
         scope="object",
+        most=1000,
         likely=3,
         cause="the object touches the table at few points: state `contact_points`",
         shown=(1.0, "of a pattern of 3 points"),
@@ -176,10 +175,7 @@ class SetupErrors:
 
     def __post_init__(self) -> None:
         for name, described in parameters_of(type(self)).items():
-            value = getattr(self, name)
-            if not (is_number(value) and value >= described.least):
-                allowed = f"a finite number >= {described.least:g}"
-                raise InvalidValueError(f"{type(self).__name__}.{name}", value, allowed)
+            described.check(f"{type(self).__name__}.{name}", getattr(self, name))
 
     @staticmethod
     def largest(setups: Sequence[SetupErrors]) -> SetupErrors:

@@ -166,9 +166,14 @@ def test_pushes_are_planned_where_the_policy_plans(tmp_path):
             {"policy": Policy(kind="drag"), "support": ["rigid"]},
             "links rest on their own weight",
         ),
+        (
+            ["objects/fold_2.toml"],
+            {"policy": Policy()},
+            'is for one rigid body.*kind = "drag" or a plan',
+        ),
         (["objects/rectangle_2x3.toml"], {"policy": Policy()}, 'it can be pushed: kind = "push"'),
     ],
-    ids=["links", "rigid links", "no grasp"],
+    ids=["links", "rigid links", "turns of links", "no grasp"],
 )
 def test_what_cannot_be_done_is_said_before_any_trial(tmp_path, objects, changes, message):
     _, scenario = load_scenario("push")

@@ -88,11 +88,12 @@ def test_the_map_shows_every_mass_in_its_place():
 )
 def test_the_support_is_named(status, bayes: float, verdict: str, evidence: str):
     numbers = {"rigid_share": 0.1, "rigid_share_error": 0.2}
-    found = Estimate(None, status, "as under one rigid body", diagnostics=numbers | {"log10_bayes_factor": bayes})
+    masses = MassDistribution(np.array([0.1]), np.array([0.5]))
+    found = Estimate(masses, status, "as under one rigid body", diagnostics=numbers | {"log10_bayes_factor": bayes})
     assert support_verdict(found)[0] == verdict
     assert evidence in support_verdict(found)[1]
-    assert support_verdict(Estimate(None, "ok", assumes="own weight")) == ("assumed", "")
-    assert support_verdict(Estimate(None, "ok")) == ("not tested", "")
+    assert support_verdict(Estimate(None, "no_data", assumes="own weight")) == ("assumed", "")
+    assert support_verdict(Estimate(None, "no_data")) == ("not tested", "")
 
 
 L2 = load_object("L2")

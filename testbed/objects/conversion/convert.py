@@ -74,7 +74,7 @@ class Converted:
             InvalidValueError: neither one mass nor one a part, or one that is not positive.
         """
         if not (len(given) in (0, 1, len(self.parts)) and all(0 < mass < 100 for mass in given)):
-            allowed = f"one mass > 0 in all, or {len(self.parts)}, one a part from left to right"
+            allowed = f"one mass > 0 and < 100 kg in all, or {len(self.parts)}, one a part from left to right"
             raise InvalidValueError("mass", list(given), allowed)
         if len(given) != 1:
             return tuple(given)

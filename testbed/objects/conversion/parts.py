@@ -18,7 +18,9 @@ NODES = 60
 """Nodes of the grid on which labels divide a body, along its longest side."""
 MOST_PARTS = 12
 """Parts of an object, at most."""
-WAYS = "a number of parts, planes as 0.3,0.6, bodies, colours, clusters or clusters:3, or a PLY of labelled points"
+WAYS = (
+    f"1 to {MOST_PARTS} parts, planes as 0.3,0.6, bodies, colours, clusters or clusters:3, or a PLY of labelled points"
+)
 NEIGHBOURS = 5
 """Points of a label whose mean distance counts."""
 CLUSTERS = 3

@@ -33,7 +33,7 @@ Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 class CalibrationFile(BaseModel):
     """File of a sensor's calibration, SI units; `Calibration` explains the fields."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     sensor: str
     """Serial number of the sensor, or "unknown"."""
@@ -86,7 +86,7 @@ class CalibrationFile(BaseModel):
 class HandEyeFile(BaseModel):
     """File of a tracker's calibration, SI units; `HandEye` explains the fields."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     made: str
     """Date, in any words."""

@@ -33,6 +33,7 @@ from testbed.trial import RIGID, Trial
 GRASP = st.integers(0, 20)
 POSITIVE = st.floats(1e-6, 1e3)
 FINITE = st.floats(-1e3, 1e3)
+PLACE = st.floats(-10, 10)
 SIGN = st.sampled_from([-1.0, 1.0])
 
 
@@ -51,7 +52,7 @@ ACTIONS = st.one_of(
         GRASP,
         speed=st.builds(math.copysign, POSITIVE, SIGN),
         duration=POSITIVE,
-        pivot=st.none() | st.tuples(FINITE, FINITE),
+        pivot=st.none() | st.tuples(PLACE, PLACE),
         back=st.booleans(),
     ),
     st.builds(Slide, GRASP, direction=FINITE, speed=POSITIVE, duration=POSITIVE),

@@ -439,10 +439,12 @@ def test_more_drags_leave_less_open():
 
 
 def test_candidates_of_links_are_slides_and_turns_one_way():
-    family = ActionFamily(lifts=True, pushes=True)
-    found = family.sample(CHAIN.shape, range(len(CHAIN.shape.grasps)), 4000, 0)
+    grasps = range(len(CHAIN.shape.grasps))
+    found = ActionFamily(lifts=True).sample(CHAIN.shape, grasps, 4000, 0)
     assert 0.9 * MOST_DRAGS < len(found) <= MOST_DRAGS
     assert all(isinstance(each, Slide) or (isinstance(each, Rotate) and not each.back) for each in found)
+    with pytest.raises(InvalidValueError, match="pushes: got True; allowed: none"):
+        ActionFamily(pushes=True).sample(CHAIN.shape, grasps, 4000, 0)
 
 
 @slow

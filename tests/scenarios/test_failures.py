@@ -148,6 +148,7 @@ def test_a_missing_extra_is_said_before_any_trial(tmp_path, monkeypatch, capsys,
     assert "pip install 'heft-testbed[sysid]'" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("here")
 def test_an_error_is_placed_in_the_class_of_others_or_passed_on():
     kind: Any = load_class("failing:Fails", ESTIMATOR, "methods")
@@ -160,6 +161,7 @@ def test_an_error_is_placed_in_the_class_of_others_or_passed_on():
         parse_support("air")
 
 
+@pytest.mark.slow
 def test_a_texts_brackets_are_printed_as_they_stand(here, finished, capsys):
     """Square brackets are rich's markup, also in a file's, a folder's or a method's name."""
     out, scenario = Path("[") / "oops]", Path("[bold]small.toml")

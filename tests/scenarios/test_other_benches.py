@@ -90,6 +90,7 @@ def ran(folder: Path, out: str, runner: str, **fields: Any) -> list[dict[str, An
     return load_results(folder / out).to_dict("records")  # pyright: ignore[reportReturnType]
 
 
+@pytest.mark.slow
 def test_the_bench_of_the_documentation_with_its_policy_gives_the_truth_back(here):
     policy = SHORT | {"kind": "own_policy:FarthestFirst", "touches": 5, "settings": {"turns": 4, "duration": 2.0}}
     (row,) = ran(here, "out", "own_simulator:DragSimulator", policy=policy)

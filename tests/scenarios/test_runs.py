@@ -263,6 +263,7 @@ def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(finished, t
         subprocess.run(["umount", out], check=True)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_is_an_error_and_no_half_file(finished, tmp_path, monkeypatch):
     """Same check where mounting is not possible."""
     calls = 0

@@ -168,6 +168,7 @@ def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
             assert all(t.setup == world("lab").stated for t in parts.get("trajectories", []))
 
 
+@pytest.mark.slow
 def test_a_policy_is_told_what_the_scale_read(spied):
     _, given = spied
     told_ = next(parts for kind, parts in given if kind == "policy")
@@ -179,6 +180,7 @@ def test_a_policy_is_told_what_the_scale_read(spied):
     assert told_["weight_kg"] == readings[0] != readings[1]  # the draw that the policy sees is the first
 
 
+@pytest.mark.slow
 def test_the_search_finds_what_a_record_once_carried(spied):
     """The provenance of a draw as it was: its support, its sensor and its seed."""
     out, given = spied

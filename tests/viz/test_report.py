@@ -235,6 +235,7 @@ def test_a_stopped_writing_leaves_the_old_file(folder: Path, page: str, monkeypa
     assert not list(folder.glob(".*part"))
 
 
+@pytest.mark.slow
 def test_many_objects_swept_are_aggregated(tmp_path: Path):
     """Only the columns that every row has; some rows are of objects without any estimate."""
     rows = [

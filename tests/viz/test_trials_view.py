@@ -97,6 +97,7 @@ def test_a_push_is_an_arrow_to_its_contact_point_and_a_line_along_its_way(pushes
     assert view.slid(1) > 5 * view.slid(2)
 
 
+@pytest.mark.slow
 def test_links_and_hinges_are_on_the_map_and_each_joint_has_its_line(drags):
     view = TrialsView.of(FOLD.shape, drags, "fold_3")
     top, *below = trials_figure(view).axes
@@ -137,6 +138,7 @@ def test_the_report_has_each_objects_actions_and_ranges(pushes, drags):
     assert_allclose([low, high], [angle.min(), angle.max()], atol=0.051)
 
 
+@pytest.mark.slow
 def test_a_recording_of_links_has_hinges_and_joint_angles(drags, tmp_path):
     trial = drags[0]
     found = recorded(tmp_path / "x.rrd", FOLD, trial)
@@ -161,6 +163,7 @@ def test_a_push_that_meets_no_face_is_drawn():
     assert_allclose(np.arctan2(*(arrow.way[-1] - arrow.way[0])[::-1]), push.direction)
 
 
+@pytest.mark.slow
 def test_a_recording_of_a_push_has_its_contact_and_direction(pushes, tmp_path):
     trial = pushes[0]
     push, found = trial.action, recorded(tmp_path / "x.rrd", BLOCKS, trial)
@@ -174,6 +177,7 @@ def test_a_recording_of_a_push_has_its_contact_and_direction(pushes, tmp_path):
     assert_allclose(path[1:, :2], contact_path(BLOCKS.shape, trial), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_steady_samples_of_a_push_are_those_of_its_windows(pushes):
     steady = wrench_fit("", pushes[0], None).steady
     assert set(np.flatnonzero(steady)) == set(np.concatenate(push_samples(pushes[0])))

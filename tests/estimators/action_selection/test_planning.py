@@ -215,6 +215,7 @@ def test_a_lift_is_planned_where_it_teaches_more_a_second():
     assert lifts("L2", "own_weight")[0] == 0
 
 
+@pytest.mark.slow
 def test_what_the_bench_refuses_is_not_planned_and_said():
     free = PlannedPolicy(guess("L2"), goal=Goal(most=3), candidates=500)
     wanted = free.plan(load_object("L2").shape).actions[0].grasp

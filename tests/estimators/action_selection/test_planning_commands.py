@@ -57,6 +57,7 @@ def test_lifts_are_planned_where_asked_for_and_possible(tmp_path, capsys):
     assert "lift under support rigid or either" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_budget_too_small_for_all_is_said_with_what_stays_open(capsys):
     main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
     said = " ".join(capsys.readouterr().out.split())

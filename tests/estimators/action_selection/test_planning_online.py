@@ -44,7 +44,8 @@ def run(obj: ObjectModel, chooser: OnlinePolicy, most: int = 12, **world: object
     return trials, chooser.decide(obj.shape, trials)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2])
 def test_it_touches_until_the_masses_are_known(seed):
     obj = drawn_object(seed)
     chooser = policy(obj, Goal(until=0.02))
@@ -86,6 +87,7 @@ def test_trials_that_contradict_each_other_teach_nothing():
     assert last.nad == last.even_nad == chooser.decide(obj.shape, []).nad and last.why != "the target is met"
 
 
+@pytest.mark.slow
 def test_an_answer_is_no_surer_than_it_says_itself():
     obj, wide = drawn_object(0), 10.0
 

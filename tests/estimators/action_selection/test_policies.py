@@ -178,6 +178,7 @@ def test_lifts_that_stop_and_go_are_among_the_candidates():
 F2 = load_object("F2").shape
 
 
+@pytest.mark.slow
 def test_random_pushes_meet_the_whole_outline_and_are_repeatable():
     found = random_pushes(F2, 200, 4)
     assert found[:20] == random_pushes(F2, 20, 4) != random_pushes(F2, 20, 5)

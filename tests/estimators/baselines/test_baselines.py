@@ -141,6 +141,7 @@ def test_without_m_and_acceleration_only_mass_times_friction_is_found(method, cl
     assert_allclose(drag(answer), TWO.truth.friction[0] * TWO.truth.mass, rtol=close)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", EACH)
 def test_m_is_kept_exactly_if_given_and_ignored_if_not(method):
     told = ask(THREE, quick(method, use_weight=True), turns(THREE))
@@ -199,6 +200,7 @@ def test_where_not_even_two_levels_fit_the_masses_of_the_grid_are_alike():
     assert len(_grid(9, 1, 512, 0.25)) == 512
 
 
+@pytest.mark.slow
 def test_on_a_block_object_the_budget_of_the_paper_holds_a_grid():
     obj = load_object("L2")
     one, other = (ask(obj, WeightedSampling(), seed=seed).traces[0] for seed in (0, 1))

@@ -173,6 +173,7 @@ def test_errors_are_counted_as_algorithm_1_counts_them(errors: ModelErrors):
     assert Baseline.pivot_error == HiddenStates.pivot_error == ModelErrors.pivot_error
 
 
+@pytest.mark.slow
 def test_the_torque_of_an_accelerated_turn_is_as_wrong_as_its_moment_of_inertia():
     obj = drawn_object(0)
     given = everything(obj)

@@ -173,6 +173,7 @@ def test_masses_of_groups_are_told_from_those_of_particles():
     assert "masses of groups" not in twice.message
 
 
+@pytest.mark.slow
 def test_the_least_misfit_of_the_same_trials_is_found_once(monkeypatch):
     asked = []
     monkeypatch.setattr(judging, "posterior_of", lambda *a, **k: asked.append("at" in k) or posterior_of(*a, **k))

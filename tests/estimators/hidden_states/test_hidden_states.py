@@ -38,6 +38,7 @@ def test_masses_are_recovered_where_the_center_of_a_turn_wanders(seed):
     assert nad(obj, ask(obj, turns(obj, wander=0.006))) < 8e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["I2", "L2", "F2"])
 def test_the_load_of_the_gripper_is_taken_into_account(name):
     obj = load_object(name)

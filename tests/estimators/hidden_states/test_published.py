@@ -138,6 +138,7 @@ def test_a_trace_starts_from_uniform_mass_and_ends_at_the_estimate():
     assert_allclose(trace.mass[int(np.argmin(trace.loss))], found(answer).mass, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_load_of_the_gripper_is_taken_off_where_asked():
     carried = {"lift": 0.5, "moment": (0.004, -0.003)}
     trials = turns(L2, **carried) + accelerated(L2, **carried)

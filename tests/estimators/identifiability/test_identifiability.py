@@ -278,6 +278,7 @@ def test_only_the_grasps_that_are_named_are_used():
 LINKS = "scenarios/library/objects/fold_2.toml"
 
 
+@pytest.mark.slow
 def test_links_are_slid_and_turned_and_their_hinges_told(capsys):
     actions = actions_of(load_object(LINKS), pivots=2, slides=3)
     assert [type(action) for action in actions] == [Weigh, Rotate, Rotate, Slide, Slide, Slide]
@@ -360,6 +361,7 @@ def test_the_heatmap_shows_the_standard_errors_of_the_table(tmp_path, capsys, mo
     assert [float(text.get_text()) for text in drawn[0].axes[0].texts] == pytest.approx(printed, abs=0.006)
 
 
+@pytest.mark.slow
 def test_the_heatmap_is_written_whole(tmp_path, capsys):
     main(["identify", "L2", "--out", str(tmp_path / "errors")])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.pdf", "errors.png"]

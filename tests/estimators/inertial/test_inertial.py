@@ -282,6 +282,7 @@ def in_sensor(trajectory: Trajectory) -> InertialParameters:
     return true_body(L2).moved(axes.T, -axes.T @ corner)
 
 
+@pytest.mark.slow
 def test_a_lift_gives_the_object_in_the_sensors_frame(lift):
     found, true = Payload.of_lifts(L2.shape, [lift]), in_sensor(lift)
     assert found.parameters.mass == pytest.approx(true.mass, rel=2e-3)

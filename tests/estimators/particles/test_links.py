@@ -297,6 +297,7 @@ def missing(windows):
     return (windows.wrench - wrenches.wrench(*truth))[:, :2]
 
 
+@pytest.mark.slow
 def test_feet_lead_by_the_time_of_their_damping(windows):
     leads = np.arange(0.0, 0.041, 0.005)
     left = [float(missing(replace(windows, twists=windows.twists + t * windows.twist_rates)).norm()) for t in leads]

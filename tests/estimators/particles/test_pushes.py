@@ -100,6 +100,7 @@ def test_a_fast_push_has_windows_over_as_long_a_way(speed):
     assert (np.abs(off) < [0.03, 0.03, 0.1] * np.abs(measured[inside]).max(axis=0)).all()
 
 
+@pytest.mark.slow
 def test_the_rank_of_q_grows_within_one_push():
     push = Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05, friction=3.0)
     windows, model = observe(BLOCKS.shape, analytic_pushes(BLOCKS, [push])), ParticleModel.of(BLOCKS.shape)

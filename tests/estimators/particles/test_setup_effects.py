@@ -97,6 +97,7 @@ def test_where_all_move_alike_the_pattern_of_contact_does_not_matter():
     assert np.abs(slid).max() < 1e-9 and np.abs(turned).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [HiddenStates(), LeastSquares()], ids=["hidden_states", "least_squares"])
 def test_errors_that_are_stated_widen_the_answers_own(method):
     trials = turns(OBJECT) + accelerated(OBJECT)

@@ -141,6 +141,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     assert_allclose(unknowns.values(found.z)["mass"], model.truth.mass, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_an_answer_has_the_errors_of_the_setup_with_their_own():
     trials = [replace(trial, setup=LAB) for trial in KINDS["accelerated"][1]()]
     numbers = Bayes().estimate(OBJECT.shape, OBJECT.total_mass, trials, 0).diagnostics
@@ -185,6 +186,7 @@ def test_the_radial_pattern_adds_its_standard_deviation_to_the_mean_square_dista
         assert_allclose(part @ square, square[taken].std(correction=0), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_radius_of_contact_that_blocks_share_is_recovered():
     obj = drawn(3, 4242, "corners")
     found = posterior_of(obj.shape, obj.total_mass, lab_trials(obj, 8))
@@ -231,6 +233,7 @@ def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
     assert chi2.ppf(1e-3, freedom) / 2 < total < chi2.ppf(1 - 1e-3, freedom) * 1.5
 
 
+@pytest.mark.slow
 def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
     """Their scatter is the covariance where masses are known; elsewhere they add up to M, and none is below 0."""
     known = drawn_object(2)
@@ -286,6 +289,7 @@ def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
     assert_allclose(predicted[1] - predicted[0], change, atol=0.03 * float(change.abs().max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [Bayes(), HiddenStates()], ids=["bayes", "hidden_states"])
 def test_known_feet_leave_less_open_than_unknown_points(method):
     errors = replace(EXACT_SETUP, contact_points=4, foot_offset=0.0005, foot_load=0.2)
@@ -298,6 +302,7 @@ def test_known_feet_leave_less_open_than_unknown_points(method):
     assert (claimed[1] < claimed[0]).all() and claimed[1].sum() < 0.8 * claimed[0].sum()
 
 
+@pytest.mark.slow
 def test_feet_of_unlike_loads_are_a_pattern_of_their_group():
     model = padded()[0]
     unknowns = priors(model.shape, replace(EXACT_SETUP, contact_points=4, foot_load=0.2), SHARP, model.total_mass, 1)

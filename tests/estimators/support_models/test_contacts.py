@@ -82,6 +82,7 @@ def test_three_points_show_all_that_can_be_known():
         assert answer.diagnostics[f"least_{group}_kg"] <= mass <= answer.diagnostics[f"most_{group}_kg"]
 
 
+@pytest.mark.slow
 def test_a_center_of_mass_that_no_parts_can_have_is_told():
     """Parts a third as long about the head have no masses with the center of mass that is felt."""
     obj = tool(THREE)
@@ -94,6 +95,7 @@ def test_a_center_of_mass_that_no_parts_can_have_is_told():
     assert answer.diagnostics["polytope_miss"] > 3
 
 
+@pytest.mark.slow
 def test_parts_in_the_air_have_no_pattern_of_contact():
     obj = tool(())
     stated = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in felt(obj)]
@@ -125,6 +127,7 @@ def test_loads_of_three_points_are_in_balance_and_those_of_four_lie_about_the_ev
         assert_allclose(model.particles.T @ spread, 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_body_said_to_rest_on_four_points_may_rest_on_three_of_them():
     rests, said = tool(ON_THREE_OF_FOUR), tool(FOUR)
     trials = felt(rests)

@@ -97,6 +97,7 @@ def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
     assert ended.value.code == 2
 
 
+@pytest.mark.slow
 def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch, capsys):
     command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--output"]
     command += [str(tmp_path), "--benchmark", str(published.benchmark.folder)]

@@ -309,6 +309,7 @@ def test_how_far_an_object_gets_is_exact(seed):
         np.testing.assert_allclose(found, beyond(action, shape), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_no_candidate_carries_the_object_over_the_edge():
     near, far = stretched(1.0), stretched(3.0)  # 0.6 m from end to end
     for shape in (near, far):

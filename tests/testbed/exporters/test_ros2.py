@@ -71,7 +71,8 @@ def test_what_is_imported_is_what_was_measured(tmp_path: Path, index: int):
     assert back.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
 
 
-@pytest.mark.parametrize("kind", ["push", pytest.param("links", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["push", "links"])
 def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
     """Frames at their own times, but for what was not seen: the windows are the same."""
     folded = Path("scenarios/library/objects/elbow.toml").resolve()

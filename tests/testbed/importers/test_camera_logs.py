@@ -137,6 +137,7 @@ def test_a_push_comes_back_with_the_object_where_the_camera_saw_it(push: Traject
     same_windows(push_windows(found), push_windows(push))
 
 
+@pytest.mark.slow
 def test_a_push_is_found(push: Trajectory, tmp_path: Path):
     """Point, direction and radius by the camera's poses; the log alone gives speed and way."""
     assert isinstance(push.action, Push)
@@ -201,6 +202,7 @@ def test_each_log_may_name_its_frames(push: Trajectory, tmp_path: Path):
     assert "a file for each of 1 parts" in refused(tmp_path, push, several)
 
 
+@pytest.mark.slow
 def test_links_come_back_each_by_its_own_label(fold: Trajectory, tmp_path: Path):
     parts = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
     mapping = mapping_with(fold, str(FOLD), parts) | {"phases": phases_of(fold)}
@@ -222,6 +224,7 @@ def test_a_planar_pose_needs_three_columns(push: Trajectory, tmp_path: Path):
     same_frames(import_csv(tmp_path, push, mapping).camera, push.camera)
 
 
+@pytest.mark.slow
 def test_labels_come_as_messages_and_as_a_tree(fold: Trajectory, tmp_path: Path):
     """An .mcap beside the table of the arm: a tree that knows where the camera is, and poses in the camera's frame."""
     eye = {"header": {"frame_id": "base"}, "child_frame_id": "camera", "transform": transform(EYE, CAMERA)}

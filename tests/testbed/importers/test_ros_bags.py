@@ -232,6 +232,7 @@ def plain(message: Any) -> Any:
     return {field.name: plain(getattr(message, field.name)) for field in fields(message)}
 
 
+@pytest.mark.slow
 def test_a_tree_of_transforms(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     bag = bench.bag(tmp_path / "bag", "tf2_msgs/msg/TFMessage", "/tf", bench.tree, "MCAP")
     same(imported(bag / "bag.mcap", 'topic = "/tf"\nframe = "tool"'), as_csv)

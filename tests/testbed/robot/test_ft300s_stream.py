@@ -50,6 +50,7 @@ def test_every_frame_is_found_whatever_lies_between(drawn):
     assert [f.wrench.tolist() for f in found] == [in_newtons(counts) for counts in said]
 
 
+@pytest.mark.slow
 @given(streams(), st.lists(st.integers(1, 40), min_size=1, max_size=20))
 def test_how_the_bytes_are_cut_makes_no_difference(drawn, cuts):
     stream, said, _ = drawn

@@ -98,6 +98,7 @@ def trouble(**what):
     return watch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("watch", "status", "why"),
     [
@@ -185,6 +186,7 @@ def tilting(settings: RobotSettings) -> RobotSettings:
     return replace(settings, limits=replace(settings.limits, tilt=STEEP))
 
 
+@pytest.mark.slow
 def test_the_leg_in_the_air_moves_as_it_says_it_does():
     settings = tilting(RobotSettings(data_sheet(0.05), table_height=0.01))
     plan = plan_trial(TRIAL, np.array([0.5, -0.1, 0.4]), settings)

@@ -65,14 +65,13 @@ def measured(action, request):
     return request.getfixturevalue("record") if action is CONFORMING.action else run(action, seed=1)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("action", "allowed"),
     [
         (CONFORMING.action, 0.1),
-        pytest.param(Slide(0, direction=0.5, duration=1.6), 0.1, marks=pytest.mark.slow),
-        pytest.param(
-            Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3, marks=pytest.mark.slow
-        ),  # the arm still gives way when a stretch begins
+        (Slide(0, direction=0.5, duration=1.6), 0.1),
+        (Accelerate(1, (1.0, -1.0), 0.6, 0.2), 0.3),  # the arm still gives way when a stretch begins
     ],
     ids=["turn", "slide", "accelerated turn"],
 )
@@ -263,6 +262,7 @@ SEEN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "phase"), SEEN)
 def test_a_fault_is_seen_in_every_phase_and_soon(fault, phase):
     """Every kind in one phase, a blow and NaN in all; bench/faults.py has them all in all."""

@@ -37,6 +37,7 @@ def pushes(count: int, seed: int) -> list[Push]:
     return found
 
 
+@pytest.mark.slow
 def test_a_push_through_the_middle():
     """The object goes with the fingertip, against its friction; a camera sees it, and the hand does not."""
     x, y = BLOCKS.center_of_mass
@@ -76,6 +77,7 @@ def test_a_fingertip_slides_along_a_face_without_bouncing():
         assert np.sqrt((left**2).sum(1).mean()) < 0.02 * drag
 
 
+@pytest.mark.slow
 def test_playback_shows_the_fingertip_at_the_object():
     """The hand is closed; the drawn fingertip touches the outline where the record has it."""
     push = Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)

@@ -46,6 +46,7 @@ def steps(shown: LiveTrial | Replay) -> int:
     raise AssertionError("it never ends")
 
 
+@pytest.mark.slow
 def test_a_live_trial_is_the_runners_each_time():
     trajectory, live = SimulationRunner().run_clean(TURN), LiveTrial(TURN)
     ends = []
@@ -58,6 +59,7 @@ def test_a_live_trial_is_the_runners_each_time():
     assert_array_equal(ends[0], ends[1])
 
 
+@pytest.mark.slow
 def test_a_live_trial_ends_where_the_object_slips(monkeypatch):
     monkeypatch.setattr(feasibility, "MARGIN", 100.0)
     weak = SimulationSettings(grip=GripSettings(force=20.0, friction=0.1))

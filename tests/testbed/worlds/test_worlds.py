@@ -136,6 +136,7 @@ def test_points_stand_out_and_carry_more():
     assert more[-8:].min() > 0 > more[:8].max()
 
 
+@pytest.mark.slow
 def test_friction_of_groups_scales_drag():
     draw = alone(group_friction=0.08)
     factor = 1 + draw.normal("group_friction", L2.shape.n_m)
@@ -204,6 +205,7 @@ def test_a_tilted_table_adds_its_part_of_gravity():
     assert_allclose(world_axes.mean(axis=0)[:2], held - more[steady(run(None)[0])].mean(axis=0), atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_groups_particles_move_with_its_feet_and_the_told_object_does_not():
     draw = alone(particle_offset=0.001)
     body = draw.true_object(L2)
@@ -241,6 +243,7 @@ def test_a_trial_begins_elsewhere_and_nearer_where_it_could_not():
     assert_allclose(run(far)[0].object_pose, plain.object_pose)
 
 
+@pytest.mark.slow
 def test_a_rigid_object_stands_on_the_points_too():
     draw = WorldDraw.of(world("lab"), L2, 0)
     record = RUNNER.run(Trial(L2, TURN, RIGID, "ft300s", world=draw))

@@ -1,9 +1,10 @@
 """NAD in a lab against robot time, with and without a plan and pads: python bench/lab_time.py DIR [--figure FILE].
 
-I1 to F2 in MuJoCo's lab under an FT-300S, two labs each: turns about the grasps (as `heft run lab_fixed`) and planned
-trials (`heft run lab`), on unknown points of contact and on four printed pads a block. Turns are 2, 4 and 8 there and
-back with 1, 2 and 4 accelerated ones; plans end after 95, 190 and 380 s. DIR keeps trials and estimates; a run that was
-interrupted goes on. Options: --seeds N, --objects NAMES, --workers N, --secret TEXT.
+I1 to F2, or drawn objects, in MuJoCo's lab under an FT-300S, two labs each: turns about the grasps (as `heft run
+lab_fixed`) and planned trials (`heft run lab`), on unknown points of contact and on four printed pads a block. Turns
+are 2, 4 and 8 there and back with 1, 2 and 4 accelerated ones; plans end after 95, 190 and 380 s. DIR keeps trials and
+estimates; a run that was interrupted goes on. Options: --seeds N, --objects NAMES, --drawn N, --family SEED, --planned,
+--budgets S ..., --methods NAMES, --workers N, --secret TEXT.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from statistics import fmean
 from matplotlib.figure import Figure
 from tables import PADS, claimed, markdown, nad_of, seconds_of
 
-from estimators.evaluation.statistics import AXIS, Row, select
+from estimators.evaluation.statistics import AXIS, Row, methods_of, select
 from scenarios import load_results, load_scenario, run_scenario
 from scenarios.cli.run import show_progress
 from scenarios.config import Scenario
 from scenarios.results.store import rows_of
+from testbed.objects.files import ObjectFile
+from testbed.toml import load_toml
 
 BUDGETS = [95.0, 190.0, 380.0]
 TURNS = {"policy.pivots": [2, 4, 8], "policy.accelerated": [1, 2, 4]}
@@ -34,19 +37,25 @@ KINDS = {
 """Scenario of each kind of trials, and whether the blocks stand on pads."""
 
 
-def scenario_of(kind: str, objects: list[str], seeds: int) -> Scenario:
-    """Scenario of a kind of trials, at three robot times."""
+def scenario_of(kind: str, given: argparse.Namespace) -> Scenario:
+    """Scenario of a kind of trials, at several robot times."""
     name, on_pads = KINDS[kind]
-    if on_pads:
-        known = load_scenario("lab_pads")[1].objects
-        objects = [path for path in known if Path(path).stem.removesuffix(PADS) in objects]
     found = load_scenario(name)[1].model_dump(exclude_unset=True)
+    known = load_scenario("lab_pads")[1].objects
+    objects = [path for path in known if Path(path).stem.removesuffix(PADS) in given.objects]
+    if given.drawn:
+        feet = load_toml(Path(known[0]), ObjectFile).feet if on_pads else None
+        family = {"name": "drawn", "count": given.drawn, "seed": given.family}
+        found |= {"objects": [], "random": [family | ({} if feet is None else {"feet_m": feet.under_each_m})]}
+    else:
+        found["objects"] = objects if on_pads else given.objects
     turns = name == "lab_fixed"
     if not turns:
         found["policy"] |= {"touches": 60}  # the budget ends it
-    sweep = {"axes": TURNS, "mode": "zip"} if turns else {"axes": {"policy.budget_s": BUDGETS}}
-    methods = {each: {} for each in METHODS}
-    return Scenario.model_validate(found | {"objects": objects, "seeds": seeds, "sweep": sweep, "methods": methods})
+    sweep = {"axes": TURNS, "mode": "zip"} if turns else {"axes": {"policy.budget_s": given.budgets}}
+    return Scenario.model_validate(
+        found | {"seeds": given.seeds, "sweep": sweep, "methods": {m: {} for m in given.methods}}
+    )
 
 
 def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
@@ -54,7 +63,7 @@ def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
     rows = rows_of(load_results(folder))
     axis = next(name for name in rows[0] if name.startswith(AXIS))
     values = dict.fromkeys(row[axis] for row in rows)
-    return [(method, select(rows, method=method, **{axis: value})) for method in METHODS for value in values]
+    return [(method, select(rows, method=method, **{axis: value})) for method in methods_of(rows) for value in values]
 
 
 def drawn(sets: dict[str, list[tuple[str, list[Row]]]]) -> Figure:
@@ -81,16 +90,20 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--objects", nargs="+", default=["I1", "I2", "L1", "L2", "F1", "F2"])
+    parser.add_argument("--drawn", type=int, default=0)
+    parser.add_argument("--family", type=int, default=0)
+    parser.add_argument("--planned", action="store_true")
+    parser.add_argument("--budgets", type=float, nargs="+", default=BUDGETS)
+    parser.add_argument("--methods", nargs="+", default=METHODS)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--secret")
     given = parser.parse_args()
     sets = {}
     lines = [["trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", "answers"]]
-    for kind in KINDS:
+    for kind in [kind for kind, (name, _) in KINDS.items() if name == "lab" or not given.planned]:
         folder = given.folder / kind.replace(", ", "_").replace(" ", "_")
-        scenario = scenario_of(kind, given.objects, given.seeds)
         with show_progress() as progress:
-            run_scenario(scenario, folder, given.workers, progress, secret=given.secret)
+            run_scenario(scenario_of(kind, given), folder, given.workers, progress, secret=given.secret)
         sets[kind] = sets_of(folder)
         for method, rows in sets[kind]:
             answers = f"{sum(row['nad'] is not None for row in rows)} of {len(rows)}"

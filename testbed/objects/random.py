@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import Cell, layout_of, neighbors
-from testbed.objects.files import Blocks, ObjectFile, Side
+from testbed.objects.files import Blocks, FeetTable, ObjectFile, Points, Side
 from testbed.toml import Positive
 
 
@@ -26,6 +26,7 @@ class Family(BaseModel):
     friction: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [0.2, 0.8]
     size_m: Side = 0.05
     height_m: Side = 0.03
+    feet_m: Points | None = None
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
@@ -54,6 +55,7 @@ class Family(BaseModel):
                 size_m=self.size_m,
                 height_m=self.height_m,
             ),
+            feet=None if self.feet_m is None else FeetTable(under_each_m=self.feet_m),
         )
 
 

@@ -105,6 +105,10 @@ def test_a_family_is_the_same_for_the_same_seed_and_joined_edge_to_edge():
         assert file.blocks is not None and file.blocks.mass_kg is not None
         assert set(np.atleast_1d(file.blocks.mass_kg)) <= {0.1, 0.3}
         assert 0.2 <= float(np.atleast_1d(file.blocks.friction)[0]) <= 0.4
+    on_feet = family.model_copy(update={"feet_m": [[-0.02, -0.02], [0.02, -0.02], [0.0, 0.02]]}).draw(0, 0)
+    assert on_feet.blocks == objects[0].blocks
+    shape = on_feet.build(3, Path()).shape
+    assert len(shape.feet) == 3 * shape.n_m
     more = family.model_copy(update={"count": 41})
     assert more.draw(7, 0) == family.draw(7, 0), "a larger family begins with the smaller one"
 

@@ -82,7 +82,7 @@ def _agreed(private: Path, secret: str | None) -> str:
         kept = {"secret": secret or new_secret(), "version": VERSION}
         write_json(private / "secret.json", kept)
     if kept["version"] != VERSION or secret not in (None, kept["secret"]):
-        raise InvalidValueError("--output", str(private), "a new folder: this one is of another secret or version")
+        raise InvalidValueError("--out", str(private), "a new folder: this one is of another secret or version")
     return kept["secret"]
 
 

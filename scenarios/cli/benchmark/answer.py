@@ -14,7 +14,7 @@ def answer(
     *,
     benchmark: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "validation",
-    output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/answers"),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/answers"),
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:
     """Answer the problems of a benchmark split with heft's methods or your own: DIR/SPLIT/METHOD.csv for each.
@@ -28,7 +28,7 @@ def answer(
         methods: method names, package:Class, or labels from the scenario `blocks`, such as weighted_sampling_M.
         benchmark: folder of the published benchmark.
         split: train, validation or test.
-        output: folder for the CSV files.
+        out: folder for the CSV files.
         workers: number of worker processes; default: one per core. 0 runs everything in this process.
     """
     from scenarios.benchmark.answers import write_answers
@@ -50,16 +50,16 @@ def answer(
     chosen = load_scenario(DEFAULT_SCENARIO)[1].changed(methods=methods).methods
     count = default_workers() if workers is None else workers
     with (
-        exclusive(output),
+        exclusive(out),
         open_executor("local", count, preload=(AnswerRun.__module__,)) as tasks,
         show_progress() as progress,
     ):
-        run = AnswerRun(opened, problems, chosen, Store(output.absolute()), tasks, progress)
+        run = AnswerRun(opened, problems, chosen, Store(out.absolute()), tasks, progress)
         work_off(tasks, run.start)
     for line in run.failures[:MOST_LINES]:
         print(line)
     for label, answers in run.answers.items():
-        path = output / split / f"{label.replace(':', '.')}.csv"
+        path = out / split / f"{label.replace(':', '.')}.csv"
         write_answers(path, answers, problems)
         print(path)
     if run.failures:

@@ -12,7 +12,7 @@ from testbed.errors import InvalidValueError
 
 def make(
     *,
-    output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/benchmark"),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/benchmark"),
     objects: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = (2, 2, 2),
     seed_file: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     secret: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None,
@@ -24,10 +24,10 @@ def make(
     run the same command again to continue.
 
     Examples: heft benchmark make
-              heft benchmark make --objects 1 --output results/small
+              heft benchmark make --objects 1 --out results/small
 
     Args:
-        output: folder to publish.
+        out: folder to publish.
         objects: number of objects of each kind in each world for train, validation and test; one number sets all three.
         seed_file: file that contains the secret of the test split.
         secret: the secret itself, at least 16 letters; a random one if neither is given.
@@ -47,7 +47,7 @@ def make(
         secret = seed_file.read_text(encoding="utf-8").strip()
     count = default_workers() if workers is None else workers
     with show_progress() as progress:
-        made = making.make(output, dict(zip(SPLITS, numbers, strict=True)), secret, count, progress)
+        made = making.make(out, dict(zip(SPLITS, numbers, strict=True)), secret, count, progress)
     for line in made.left_out:
         print(f"left out: {line}")
     size = sum(path.stat().st_size for path in made.folder.rglob("*") if path.is_file()) / 1e6

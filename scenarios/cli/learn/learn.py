@@ -21,7 +21,7 @@ PART = 10
 
 def learn(
     *,
-    output: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     objects: Annotated[int, tyro.conf.arg(metavar="N")] = 300,
     epochs: Annotated[int, tyro.conf.arg(metavar="N")] = 60,
     seed: Annotated[int, tyro.conf.arg(metavar="S")] = 0,
@@ -34,10 +34,10 @@ def learn(
     same command continues with the examples in the folder FILE.parts.
 
     Examples: heft learn
-              heft learn --objects 2000 --output lab.pt
+              heft learn --objects 2000 --out lab.pt
 
     Args:
-        output: output file; default: learned.pt in heft's folder of the user cache, where `learned` finds it.
+        out: output file; default: learned.pt in heft's folder of the user cache, where `learned` finds it.
         objects: number of objects to draw, with three examples each.
         epochs: passes through the examples.
         seed: seed of objects, setups and training.
@@ -59,7 +59,7 @@ def learn(
         check_integer(f"--{name}", value, least)
     from estimators.learned.training import HELD_OUT, train
 
-    path = output or default_path()
+    path = out or default_path()
     folder = path.with_name(f"{path.name}.parts")
     files = [folder / f"{seed}-{index:05d}.pt" for index in range(-(-objects // PART))]
     torch.set_num_threads(1)
@@ -67,10 +67,12 @@ def learn(
     with orderly_end(), show_progress() as progress:
         with open_executor("local", count, limits) as executor:
             made = _made(executor, files, seed, progress)
-        out = -(-len(made) // HELD_OUT)
+        held_out = -(-len(made) // HELD_OUT)
         parts, seconds = [examples for examples, _ in made], sum(spent for _, spent in made)
         origin = Origin(PART * len(files), seed)
-        learned = train(Examples.joined(parts[out:]), Examples.joined(parts[:out]), origin, epochs, progress, seconds)
+        learned = train(
+            Examples.joined(parts[held_out:]), Examples.joined(parts[:held_out]), origin, epochs, progress, seconds
+        )
     learned.save(path)
     shutil.rmtree(folder)
     examples = sum(map(len, parts))

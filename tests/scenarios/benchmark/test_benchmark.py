@@ -78,7 +78,7 @@ def test_a_benchmark_is_made_resumed_and_scored(small, tmp_path, monkeypatch):
     monkeypatch.setattr("scenarios.study.trials.simulate", None)  # nothing is simulated again
     make(tmp_path / "set", ONE, None, 0, quiet)
     assert {path: path.read_bytes() for path in before} == before
-    with pytest.raises(InvalidValueError, match="--output"):
+    with pytest.raises(InvalidValueError, match="--out"):
         make(tmp_path / "set", ONE, "another secret of the tests", 0, quiet)
 
 
@@ -93,13 +93,13 @@ def test_a_short_or_published_secret_is_refused(tmp_path, secret):
 @pytest.mark.parametrize("arguments", [["--objects", "1", "2"], ["--objects", "0"], ["--objects", "-1"]])
 def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
     with pytest.raises(SystemExit) as ended:
-        main(["benchmark", "make", *arguments, "--output", str(tmp_path / "set")])
+        main(["benchmark", "make", *arguments, "--out", str(tmp_path / "set")])
     assert ended.value.code == 2
 
 
 @pytest.mark.slow
 def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch, capsys):
-    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--output"]
+    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--out"]
     command += [str(tmp_path), "--benchmark", str(published.benchmark.folder)]
     main(command)
     (path,) = tmp_path.glob("validation/*.csv")
@@ -118,7 +118,7 @@ def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch
 
 
 def test_a_method_that_fails_has_its_reason_and_an_empty_answer(published, tmp_path, capsys):
-    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Broken", "--workers", "0", "--output"]
+    command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Broken", "--workers", "0", "--out"]
     with pytest.raises(SystemExit) as ended:
         main([*command, str(tmp_path), "--benchmark", str(published.benchmark.folder)])
     assert ended.value.code == 1 and "no idea" in capsys.readouterr().out

@@ -16,7 +16,7 @@ def test_the_command_goes_on_with_examples_that_are_there(tmp_path, monkeypatch,
         save_examples(path.with_name("learned.pt.parts") / f"3-0000{index}.pt", make_examples(7, [index]), 4.0)
     monkeypatch.setattr("estimators.learned.checkpoint.make_part", pytest.fail)
     words = ["learn", "--objects", "20", "--epochs", "1", "--seed", "3", "--workers", "0"]
-    main([*words, "--output", str(path)])
+    main([*words, "--out", str(path)])
     assert "20 objects" in capsys.readouterr().out and [each.name for each in path.parent.iterdir()] == ["learned.pt"]
     learned = Checkpoint.load(path)
     assert learned.origin == Origin(20, 3) and learned.core_seconds > 8.0

@@ -1,4 +1,4 @@
-"""From the published method to ours, a row a step: python bench/ablation.py [RESULTS], after `heft run ablation`.
+"""From the published method to ours, a row per step: python bench/ablation.py [RESULTS], after `heft run ablation`.
 
 NAD in percent, mean over the draws of an object: each of the paper's objects, and the median of the drawn ones. Where
 there is no answer, even masses count in its place.

@@ -1,11 +1,11 @@
 """Honesty of the answers in worlds that are not the model: python bench/honesty.py [--objects N] [--seed S].
 
 Objects of four to eight blocks, 30 to 60 mm, 0.05 to 0.8 kg, friction 0.15 to 0.9, stand on their own weight in a plain
-Coulomb world of its own contact points, offsets, frictions and sensor errors, drawn anew for each object; in `plastic`
-friction departs from Coulomb's law by 10 %. Six turns there and back and six accelerated ones. A row a kind of contact:
+Coulomb world of its own contact points, offsets, frictions and sensor errors, drawn for each object; in `plastic`
+friction departs from Coulomb's law by 10 %. Six turns there and back and six accelerated ones. A row per contact kind:
 methods know the spreads of the errors, never the draw. NAD is the median over all answers in percent; then the root
 mean square of the errors over that of the bound, the posterior spread by the trials' information at the truth with the
-errors of the setup as drawn beforehand; that of error over claimed error, the 90 % intervals that hold the truth and
+errors of the setup as drawn; that of error over claimed error, the 90 % intervals that hold the truth and
 their median width as a part of the object's mass, the answers with status ok, and those of them with a group off by
 more than three times its claimed error. In brackets 95 % intervals, by a bootstrap over objects, and for the silent
 ones the exact upper bound. Below, the methods paired on the same trials.

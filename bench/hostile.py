@@ -1,6 +1,6 @@
 """Files made to take memory, time or a traceback, and what each costs: python bench/hostile.py [KIND ...].
 
-A row a file: its size, what heft makes of it, computing time and peak memory of the process that reads it and of its
+A row per file: its size, what heft makes of it, computing time and peak memory of the process that reads it and of its
 parser. Exits with 1 where a traceback came, or a file took over 40 s or 1.5 GB.
 """
 

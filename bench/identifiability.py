@@ -73,7 +73,7 @@ def _given(folder: Path, support: str) -> dict[str, tuple[str, ...]]:
 
 
 def coverage(folder: Path, options: argparse.Namespace) -> None:
-    """A row an object."""
+    """A row per object."""
     title = f"90 % intervals of hidden_states, {options.support}, {options.sensing}, {options.draws} draws"
     table = open_table("object", "blocks", "held, %", "error over claimed", "NAD, %", title=title)
     scores, draws = [], 1 if options.sensing == "ideal" else options.draws
@@ -142,7 +142,7 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
 
 
 def _stored(folder: Path, options: argparse.Namespace, names: set[str]) -> dict[str, dict[str, np.ndarray]]:
-    """Errors of the answers in the folder, kg a group: by method and object."""
+    """Errors of the answers in the folder, kg per group: by method and object."""
     found: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
     for row in rows_of(load_results(folder)):
         if row["object"] not in names or row["mass_kg"] is None:

@@ -20,7 +20,7 @@ from scenarios.results.estimates import load_results
 
 
 def nine(folder: str) -> None:
-    """Run the scenario and print, a sensor a table, a row a method: NAD of every object, the rest on average."""
+    """Run the scenario and print a table per sensor, a row per method: NAD of every object, the rest on average."""
     heft(["run", str(Path(__file__).with_suffix(".toml")), "--out", folder])
     results = load_results(folder)
     names = list(dict.fromkeys(results["object"]))

@@ -2,8 +2,8 @@
 
 Every problem draws masses, frictions and all errors of the setup from the estimator's own prior, and readings from its
 own forward model and errors; then the rank of each true mass and friction among draws of the posterior is even between
-0 and 1, if the posterior is right (Talts et al. 2018). A row a world: intervals of the masses that hold the truth; mean
-rank (0.5) and p of the ranks' histogram by chi squared, of masses the least times their number (Bonferroni), and of the
+0 and 1, if the posterior is right (Talts et al. 2018). A row per world: intervals that hold the true masses; mean rank
+(0.5) and p of the ranks' histogram by chi squared, of masses the least times their number (Bonferroni), and of the
 friction: below 0.01, Laplace's approximation fails there; and the answers that do not explain their own trials, those
 of a search that ended elsewhere.
 """

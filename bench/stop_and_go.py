@@ -52,7 +52,7 @@ class Tool:
 
 
 def main() -> None:
-    """Print a row a sensor and method."""
+    """Print a row per sensor and method."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=10)

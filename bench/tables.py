@@ -72,7 +72,7 @@ class Figures:
     command: str
     """Command that made them, with its secret."""
     rows: tuple[dict[str, str], ...]
-    """A row a support, method and object, and one of all objects."""
+    """A row per support, method and object, and one of all objects."""
 
     @staticmethod
     def of(folder: Path) -> Figures:

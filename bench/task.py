@@ -10,7 +10,7 @@ Two tasks in MuJoCo on the drawn objects of `task.toml`, each planned with the m
 
 Even masses and the true ones are planned with as well. A row has the mean NAD, the median distance of the estimated
 center of mass from the true one, the share of lifts that succeed at each grip force, the share of pushes that do, and
-the median distance from their goals. The second table pools all answers by their NAD. Some ten core-seconds an answer;
+the median distance from their goals. The second table pools all answers by their NAD. Some ten core-seconds per answer;
 OBJECTS takes the first ones only.
 """
 

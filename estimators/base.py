@@ -109,7 +109,7 @@ class Estimate:
             raise InvalidValueError("Estimate.distribution", None, "a MassDistribution where the status is ok")
         if self.distribution is not None and (self.distribution.mass > MOST_MASS).any():
             given = f"particles of {self.distribution.mass.max():.3g} kg"
-            raise InvalidValueError("Estimate.distribution", given, f"at most {MOST_MASS:g} kg a particle")
+            raise InvalidValueError("Estimate.distribution", given, f"at most {MOST_MASS:g} kg per particle")
         if self.covariance is not None:
             object.__setattr__(self, "covariance", _checked_covariance(self.covariance))
         for name, kind, allowed in (

@@ -160,7 +160,7 @@ class Trajectory:
         for name, lowest, highest in (("phase", 0, int(max(Phase))), ("segment", -1, largest)):
             values = np.array(getattr(self, name))
             to = "" if highest == largest else f" to {highest}"
-            allowed = f"integers from {lowest}{to}, one a sample, ({len(time)},)"
+            allowed = f"integers from {lowest}{to}, one per sample, ({len(time)},)"
             if not np.issubdtype(values.dtype, np.integer) or values.shape != time.shape:
                 raise InvalidValueError(f"Trajectory.{name}", f"{values.dtype} of shape {values.shape}", allowed)
             outside = np.unique(values[(values < lowest) | (values > highest)])

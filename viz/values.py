@@ -73,7 +73,7 @@ class EstimateView:
             for part, count in (("mass", shape.n_m), ("friction", shape.n_mu)) if masses is not None else ():
                 values = getattr(masses, part)
                 if len(values) != count:
-                    allowed = f"{count} numbers, one a group"
+                    allowed = f"{count} numbers, one per group"
                     raise InvalidValueError(f"EstimateView.{name}.{part}", values.tolist(), allowed)
         if self.covariance is not None:
             square = (shape.n_m, shape.n_m)

@@ -1,4 +1,4 @@
-"""Optimal design: the covariance of the masses that any set of trials would leave, and what it is judged by.
+"""Optimal design: the covariance of the masses after a set of trials, and the criteria on it.
 
 Criteria: A, the trace of the masses' covariance; D, its volume; I, the expected NAD itself. All are finite before the
 first trial, since the masses have the prior of `prior_masses`.

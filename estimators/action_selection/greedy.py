@@ -1,4 +1,4 @@
-"""Plans by greedy search: each action the best of its moment, or the whole made better by exchange."""
+"""Plans by greedy search, with or without improvement by exchange."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PlannedPolicy:
     guess: Guess
     """Weight, sensor and assumed support models."""
     kind: Kind = "greedy"
-    """greedy: each the best of its moment; batch: the whole exchanged until nothing is better; random: any."""
+    """greedy: each action the best at its step; batch: exchanged until nothing improves; random: any."""
     criterion: Criterion = "I"
     """Quantity to minimize."""
     goal: Goal = field(default_factory=Goal)
@@ -94,7 +94,7 @@ class PlannedPolicy:
         return action
 
     def plan(self, shape: ObjectShape, without: tuple[Action, ...] = ()) -> Plan:
-        """Plan without the given actions, which have come to nothing."""
+        """Plan without the given actions, which failed."""
         return _planned(self, shape, without)
 
 
@@ -163,7 +163,7 @@ def greedy_choice(
 
 
 def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog, index: Index = gain_rate) -> Plan:
-    """Plan of one action after the other, each the best of its moment."""
+    """Plan of one action after another, each the best at its step."""
     steps: list[PlanStep] = []
     belief, spent = before, 0.0
     while not (why := goal.ended(belief, len(steps))):
@@ -209,7 +209,7 @@ def rank_driven_plan(
 
 
 def batch_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) -> Plan:
-    """Greedy plan made better by exchange: each trial against every candidate, the others held fast.
+    """Greedy plan improved by exchange of each trial for every candidate, the others fixed.
 
     Where a target is met, exchange makes the plan shorter; else it lowers the criterion within the plan's time. It ends
     where no single exchange is better, so it begins anew with a greedy plan of the candidates that no plan before began
@@ -243,7 +243,7 @@ class _Exchange:
     log: FeasibilityLog
 
     def settled(self, chosen: list[int]) -> list[int]:
-        """Plan once no exchange makes it better."""
+        """Plan that no exchange improves."""
         for _ in range(PASSES):
             settled, place = True, 0
             while place < len(chosen):
@@ -262,7 +262,7 @@ class _Exchange:
         return not met, self.seconds(chosen) if met else self.design.value(after)
 
     def exchanged(self, chosen: list[int], place: int) -> list[int] | None:
-        """Plan with the trial at one place exchanged or dropped, where that is better."""
+        """Plan with the trial at one place exchanged or dropped, where that improves it."""
         design, until = self.design, self.goal.until
         others = [c for i, c in enumerate(chosen) if i != place]
         without = self.after(others)

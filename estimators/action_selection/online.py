@@ -51,7 +51,7 @@ class Decision:
     supports: tuple[str, ...]
     """Support models that are still assumed."""
     rejected: tuple[tuple[Action, str], ...] = ()
-    """Actions that would have taught more, and why they cannot be done."""
+    """More informative actions, and why they cannot be done."""
 
     @property
     def answered(self) -> bool:
@@ -61,7 +61,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class OnlinePolicy:
-    """After every trial the action that teaches most a second, given the answer so far and its errors."""
+    """Choice, after every trial, of the action with the largest gain per second, given the estimate so far."""
 
     guess: Guess
     """Weight, sensor, and the support models assumed until the trials decide."""

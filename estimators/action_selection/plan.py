@@ -89,7 +89,7 @@ class PlanStep:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Actions in order, what they are expected to teach, and why the plan ends there."""
+    """Actions in order, the beliefs expected after them, and why the plan ends there."""
 
     before: Belief
     """Belief after the weighing alone."""

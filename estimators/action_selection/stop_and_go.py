@@ -19,7 +19,7 @@ class StopAndGo:
     """A stop-and-go lift of each of the grasps nearest the middle, as in the literature on held bodies."""
 
     lifts: int = 2
-    """Lifts that end well, at most one a grasp."""
+    """Lifts that end well, at most one per grasp."""
     grasps: tuple[int, ...] | None = None
     """Allowed grasps; None is all."""
     before: ActionPolicy | None = None

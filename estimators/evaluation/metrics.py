@@ -175,7 +175,7 @@ def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistributio
     """
     for name, given in (("estimate.mass", estimate.mass), ("truth.mass", truth.mass)):
         if len(given) != shape.n_m:
-            raise InvalidValueError(name, given.tolist(), f"{shape.n_m} numbers, one a mass group")
+            raise InvalidValueError(name, given.tolist(), f"{shape.n_m} numbers, one per mass group")
     count = shape.particles_per_group
     return float(count @ np.abs(estimate.mass - truth.mass) / (count @ truth.mass))
 

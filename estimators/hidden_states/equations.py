@@ -54,7 +54,7 @@ class LinearSystem:
 
 @dataclass(frozen=True, eq=False)
 class FrictionEquations:
-    """Q s = b in N and N m, r = 6 + H rows a window, with its errors."""
+    """Q s = b in N and N m, r = 6 + H rows per window, with its errors."""
 
     q: Float[Tensor, "K r n_s"]
     b: Float[Tensor, "K r"]

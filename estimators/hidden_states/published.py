@@ -1,4 +1,4 @@
-"""Algorithm 1 line by line as the paper prints it: the row beside which `hidden_states` shows what is ours.
+"""Algorithm 1 line by line as the paper prints it, for comparison with `hidden_states`.
 
 Names and equations are the paper's. It filters state and wrench by what constant speed makes constant, so all times of
 a turn are alike in the object frame: here one window stands for them, and counts as often.

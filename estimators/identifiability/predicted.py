@@ -328,7 +328,7 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
 
 
 def _level(angle: np.ndarray) -> np.ndarray:
-    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one a row."""
+    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one per row."""
     x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
     along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
     upwards = np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])

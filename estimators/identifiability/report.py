@@ -39,7 +39,7 @@ class Identifiability:
     condition: float
     """Ratio of the best to the worst seen direction, masses as parts of M, friction as a part of itself."""
     open_directions: Float[np.ndarray, "D unknowns"]
-    """Changes of the masses [kg a group] and frictions that no measurement shows, as sparse as can be, one a row."""
+    """Changes of the masses [kg per group] and frictions that no measurement shows, sparse, one per row."""
     unobservable: tuple[str, ...]
     """Open directions in words."""
     hinge_error: tuple[float, ...] = ()

@@ -216,6 +216,6 @@ def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) 
 
 
 def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K n"]:
-    """Eigenfunctions of a random walk of 1 a second, each times its standard deviation (Karhunen, Loeve)."""
+    """Eigenfunctions of a random walk of 1 per second, each times its standard deviation (Karhunen, Loeve)."""
     turns = (np.arange(WALK_TERMS) + 0.5) * np.pi
     return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)

@@ -87,7 +87,7 @@ class Network(nn.Module):
         token = self.of_group(torch.cat([scaled("group", examples.group), whole, examples.center.float()], -1))
         seen = token[:, None].expand(-1, windows, -1, -1)
         edge = self.of_edge(torch.cat([scaled("edge", examples.edges), seen], -1))
-        each = edge.transpose(1, 2).flatten(0, 1)  # a row a group: its windows
+        each = edge.transpose(1, 2).flatten(0, 1)  # a row per group: its windows
         hidden = ~examples.windows.repeat_interleave(groups, 0)
         query = token.reshape(-1, 1, token.shape[-1])
         token = token + self.over_windows(query, each, each, hidden, need_weights=False)[0].reshape(token.shape)

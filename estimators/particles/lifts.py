@@ -24,7 +24,7 @@ from testbed.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class LiftErrors:
-    """Errors of what is taken as known of a lifted object; one draw a trial, unless noted otherwise."""
+    """Errors of what is taken as known of a lifted object; one draw per trial, unless noted otherwise."""
 
     grip: float = 5e-4
     """Place of the object between the pads, along x and along y, m."""

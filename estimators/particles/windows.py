@@ -68,7 +68,7 @@ class Observations(Motion):
 
     @property
     def by_window(self) -> dict[str, Tensor]:
-        """Fields with a row a window."""
+        """Fields with a row per window."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.init and each.name != "setup"}
 
     def where(self, keep: Tensor) -> Self:

@@ -300,7 +300,7 @@ class Posterior:
         return -float(free * factor.log() + self.optimum.z.square().sum() + volume + self._log_determinant) / 2
 
     def given(self, mass: Float[Tensor, "n_m"], rounds: int = ROUNDS) -> Posterior:
-        """Posterior of the same measurements with known masses, kg a particle; the search starts from this optimum."""
+        """Posterior of the same measurements at known masses [kg per particle]; the search starts from this optimum."""
         unknowns = self.unknowns.given(mass=mass)
         start = unknowns.start(**self.unknowns.values(self.optimum.z))
         return Posterior(unknowns, self.measurements, solve(self.measurements, unknowns, start, rounds))

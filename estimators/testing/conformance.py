@@ -96,7 +96,7 @@ def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimat
 
 
 def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """Enough clean trials get one mass a mass group, one friction a friction group, and the time it took.
+    """Enough clean trials get one mass per mass group, one friction per friction group, and the time it took.
 
     The status is ok; of a search that ends early, unexplained.
     """

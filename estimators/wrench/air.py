@@ -35,7 +35,7 @@ class Matter:
 
     @staticmethod
     def of_groups(shape: ObjectShape) -> Matter:
-        """Each mass group by the cells of its particles, of 1 kg a particle, in the object frame."""
+        """Each mass group by the cells of its particles, of 1 kg per particle, in the object frame."""
         at = torch.tensor(np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)]))
         group = torch.nn.functional.one_hot(torch.tensor(shape.mass_group), shape.n_m).double() * torch.tensor(
             shape.fill[:, None]
@@ -110,7 +110,7 @@ class Air:
 
     @staticmethod
     def of_masses(shape: ObjectShape, windows: Sequence[LiftWindow]) -> Air:
-        """Windows of an object of mass groups: unknown `mass`, kg a particle, and `particle_offset`, m."""
+        """Windows of an object of mass groups: unknown `mass`, kg per particle, and `particle_offset`, m."""
         groups = Matter.of_groups(shape)
 
         def matter(theta: Theta) -> Matter:

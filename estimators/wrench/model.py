@@ -168,7 +168,7 @@ class ParticleModel:
 
     @property
     def parts(self) -> Float[Tensor, "n_m P"]:
-        """Particle masses of a kg a particle in one group and none in the others."""
+        """Particle masses of 1 kg per particle in one group and none in the others."""
         return self.particle_mass(torch.eye(int(self.mass_group.max()) + 1, dtype=torch.float64))
 
     def particle_friction(self, friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... P"]:

@@ -26,7 +26,7 @@ def turned_wrench(angle: Float[Tensor, ""], wrench: Float[Tensor, "6"]) -> Float
 
 
 def walk(since_tare: Float[Tensor, "*B K 2"]) -> Float[Tensor, "*B K K"]:
-    """Covariance of the means over two windows of a random walk of 1 a second that began at the tare, s.
+    """Covariance of the means over two windows of a random walk of 1 per second that began at the tare, s.
 
     Args:
         since_tare: times of each window's first and last sample, s.

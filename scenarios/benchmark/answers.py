@@ -1,4 +1,4 @@
-"""Answers to the benchmark as a CSV file in any language's hand: a row a mass group of a problem."""
+"""Answers to the benchmark as a CSV file, a row per mass group of a problem."""
 
 from __future__ import annotations
 

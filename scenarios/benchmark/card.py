@@ -76,8 +76,8 @@ each group [kg] with its standard error. No two problems share an object.
 In the world `ideal` the physics is the model of the estimators; `lab` and `rough` add contact points, uneven friction,
 grasp, TCP and sensor errors, whose standard deviations `setup` states. The sensor is an `{sensing}` in all of them.
 
-`problems.parquet` has a row a problem: `shape` is an object file as JSON without masses and frictions, `setup` the
-stated errors. `trials.parquet` has a row a trial; its `header` is JSON with action, tool and stated errors. A trial is
+`problems.parquet` has a row per problem: `shape` is an object file as JSON without masses and frictions, `setup` the
+stated errors. `trials.parquet` has a row per trial: its `header` is JSON of action, tool and stated errors. A trial is
 an episode of `{samples}`, which with `meta/` is a LeRobot dataset of version 3.0. `truth.parquet` has masses [kg],
 frictions and hinge frictions [N m] of train and validation, in the order of `groups`.
 

@@ -1,8 +1,8 @@
 """The published folder: tables of problems, trials, samples and truth, and its trials as an estimator is given them.
 
 DIR/README.md, croissant.json, benchmark.json
-    problems.parquet                     a row a problem
-    trials.parquet                       a row a trial; a trial is an episode of the samples
+    problems.parquet                     a row per problem
+    trials.parquet                       a row per trial; a trial is an episode of the samples
     data/chunk-000/file-000.parquet      samples, with meta/ a LeRobot dataset of version 3.0
     truth.parquet                        masses and frictions of train and validation
     meshes/                              files that shapes name

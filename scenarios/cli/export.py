@@ -222,7 +222,7 @@ def _named_object(model: ObjectModel) -> tuple[str, str | None]:
 
 
 def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
-    """Draws from the joint posterior of a row's trials, one a row: mass of each group [kg], and frictions.
+    """Draws from the joint posterior of a row's trials, one per row: mass of each group [kg], and frictions.
 
     Raises:
         InvalidValueError: an estimate of another method than hidden_states and bayes, or a count below 1.

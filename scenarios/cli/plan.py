@@ -325,7 +325,7 @@ def _draw(view: PlanView, figure: Path | None, record: Path | None) -> None:
 
 
 def _table(shape: ObjectShape, made: Plan) -> Table:
-    """A row an action: robot time, and the error expected after it."""
+    """A row per action: robot time, and the error expected after it."""
     columns = ("", "action", "grasp", "about, mm", "way", "robot, s", "in all, s", "NAD, %", "teaches")
     table = open_table(*columns, left=("action", "grasp", "way", "teaches"))
     belief, spent = made.before, 0.0

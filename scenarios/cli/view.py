@@ -327,7 +327,7 @@ def _letter(group: int) -> str:
 
 
 def particle_map(model: ObjectModel) -> str:
-    """Particles seen from above: a letter a mass group, a capital where the particle touches the table."""
+    """Particles seen from above: a letter per mass group, a capital where the particle touches the table."""
     shape = model.shape
     low = shape.particles[~shape.is_contact].min(axis=0)
     column, row = np.maximum(np.round((shape.particles - low) / shape.cell), 0).astype(int).T

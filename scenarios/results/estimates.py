@@ -1,6 +1,6 @@
 """Estimates of a results folder, read back: as a table, as rows, as values.
 
-Columns of the table, a row an estimate (one method, one draw of the sensor's errors):
+Columns of the table, a row per estimate (one method, one draw of the sensor's errors):
 
 | column | |
 |---|---|

@@ -1,4 +1,4 @@
-"""Results on disk: one folder a trial, one file an estimate, each written whole; what is there is done.
+"""Results on disk: one folder per trial, one file per estimate, each written whole; what is there is done.
 
 results/<scenario>/manifest.json
                    trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method

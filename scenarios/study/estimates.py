@@ -70,7 +70,7 @@ class EstimateRun:
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """A row a draw that is done, in the scenario's order."""
+        """A row per draw that is done, in the scenario's order."""
         return [self._rows[place] for place in sorted(self._rows)]
 
     def add(self, experiment: Experiment) -> None:
@@ -224,7 +224,7 @@ class EstimateTask:
         return self.support if self.reference and self.support in LOADS else None
 
     def result_keys(self, draws: dict[str, str]) -> list[str]:
-        """Content keys of the estimates, one a draw; `draws` is the store's."""
+        """Content keys of the estimates, one per draw; `draws` is the store's."""
         content = {
             "trials": list(self.keys),
             "held_out": list(self.held_out),
@@ -330,7 +330,7 @@ def judged_answers(
         else:
             answers = [method.estimate(shape, *one) for one in zip(weights, moved, seeds, strict=True)]
     if len(answers) != len(moved):
-        raise InvalidValueError(called, f"{len(answers)} answers", f"{len(moved)}, one a draw")
+        raise InvalidValueError(called, f"{len(answers)} answers", f"{len(moved)}, one per draw")
     checked = [check_estimate(called, answer, shape) for answer in answers]
     return [judged(each, shape, weight, given) for each, weight, given in zip(checked, weights, moved, strict=True)]
 

@@ -46,7 +46,7 @@ def run_scenario(
     on_result: ResultCallback | None = None,
     secret: str | None = None,
 ) -> pd.DataFrame:
-    """Run or resume a scenario; a row an estimate.
+    """Run or resume a scenario; a row per estimate.
 
     Args:
         scenario: what to run.
@@ -199,7 +199,7 @@ class MeasuredEstimates:
     scenario: Scenario
     """Scenario that these trials amount to."""
     rows: list[dict[str, Any]]
-    """Results, a row an estimate."""
+    """Results, a row per estimate."""
     left_out: list[str]
     """A line for each trial that is no data."""
 

@@ -187,7 +187,7 @@ def _action_and_object(table: Mapping, mapping: Path, own: str) -> tuple[Action,
             what = "the poses of a pushed object" if links == 1 else f"the poses of {links} links"
             raise InvalidValueError("camera", None, f"{what}: the hand's do not determine them")
         if table.camera is not None and len(table.camera.parts) != links:
-            each = "one, of a rigid object" if links == 1 else f"{links}, one a link"
+            each = "one, of a rigid object" if links == 1 else f"{links}, one per link"
             raise InvalidValueError("camera.parts", f"{len(table.camera.parts)} tables", each)
         return action, model
     except InvalidValueError as error:

@@ -110,9 +110,9 @@ def block_object(
     """
     check_integer("grid", grid, most=MOST_GRID)
     if len(mass) != len(cells):
-        raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one a block, bottom row first, left to right")
+        raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one per block, bottom row first, left to right")
     if len(friction_group) != len(cells):
-        raise InvalidValueError("friction_group", friction_group, f"{len(cells)} integers, one a block")
+        raise InvalidValueError("friction_group", friction_group, f"{len(cells)} integers, one per block")
     centers = np.array([[cell.column, cell.row] for cell in cells], dtype=float) * size
     centers -= centers.mean(axis=0)
     steps = ((np.arange(grid) + 0.5) / grid - 0.5) * size

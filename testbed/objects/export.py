@@ -45,7 +45,7 @@ class Exported:
         torques = checked_torques("Exported.hinge_friction", self.hinge_friction, self.shape.chain)
         object.__setattr__(self, "hinge_friction", torques)
         if self.hinge_deviation is not None and len(self.hinge_deviation) != len(torques):
-            allowed = f"{len(torques)} numbers, one a hinge, or None"
+            allowed = f"{len(torques)} numbers, one per hinge, or None"
             raise InvalidValueError("Exported.hinge_deviation", self.hinge_deviation, allowed)
 
     @property

@@ -275,11 +275,11 @@ def _build_blocks(name: str, b: Blocks, grid: int, hand: Hand) -> ObjectModel:
     if groups is None and len(friction) == 1:
         groups = [0] * len(cells)
     if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
-        allowed = f"{len(cells)} integers, one a block, that use every friction from 0 to {len(friction) - 1}, or -1"
+        allowed = f"{len(cells)} integers, one per block, that use every friction from 0 to {len(friction) - 1}, or -1"
         raise InvalidValueError("blocks.friction_group", groups, allowed)
     mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg or _PLACE_KG] * len(cells)
     if len(mass) != len(cells) or sum(mass) <= 0:
-        allowed = f"{len(cells)} numbers >= 0, one a block, bottom row first, left to right, with a sum > 0"
+        allowed = f"{len(cells)} numbers >= 0, one per block, bottom row first, left to right, with a sum > 0"
         raise InvalidValueError("blocks.mass_kg", mass, allowed)
     return block_object(
         name,

@@ -149,9 +149,11 @@ class ObjectShape(ReadOnlyArrays):
         check_positive_fields(self, "cell", "height")
         names = self.group_names or tuple(f"m{i}" for i in range(mass_group.max() + 1))
         if len(names) != mass_group.max() + 1:
-            raise InvalidValueError("ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one a mass group")
+            raise InvalidValueError(
+                "ObjectShape.group_names", names, f"{mass_group.max() + 1} names, one per mass group"
+            )
         if self.chain is not None and len(self.chain.link) != len(names):
-            raise InvalidValueError("ObjectShape.chain", self.chain.link.tolist(), f"{len(names)} links, one a group")
+            raise InvalidValueError("ObjectShape.chain", self.chain.link.tolist(), f"{len(names)} links, one per group")
         fill = frozen_array("ObjectShape.fill", self.fill if len(self.fill) else np.ones(count), (count,))
         means = np.bincount(mass_group, fill) / np.bincount(mass_group)
         if (fill < 0).any() or not np.allclose(means, 1.0, rtol=1e-9):
@@ -233,7 +235,7 @@ class ObjectShape(ReadOnlyArrays):
         return int(self.mass_group[one]), int(self.mass_group[other])
 
     def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
-        """Sum over each group's particles, each as far as it is filled: what a mass of 1 a particle makes of it."""
+        """Sum over each group's particles, each as far as it is filled: what a mass of 1 per particle makes of it."""
         return (of_particles * self.fill) @ np.eye(self.n_m)[self.mass_group]
 
 
@@ -332,7 +334,9 @@ class ObjectModel(ReadOnlyArrays):
             (self.truth.friction, self.shape.n_mu, "friction"),
         ):
             if len(given) != expected:
-                raise InvalidValueError(f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one a group")
+                raise InvalidValueError(
+                    f"ObjectModel.truth.{what}", given.tolist(), f"{expected} numbers, one per group"
+                )
         if self.total_mass <= 0:
             raise InvalidValueError("ObjectModel.truth.mass", self.truth.mass.tolist(), "a total mass > 0")
         torques = checked_torques("ObjectModel.hinge_friction", self.hinge_friction, self.shape.chain)
@@ -342,7 +346,7 @@ class ObjectModel(ReadOnlyArrays):
             masses = [solid.mass for solid in self.solids]
             if len(masses) != self.shape.n_m or not np.allclose(masses, self.group_mass, rtol=1e-9, atol=0):
                 raise InvalidValueError(
-                    "ObjectModel.solids", f"masses {masses}", f"one a mass group, of {self.group_mass.tolist()} kg"
+                    "ObjectModel.solids", f"masses {masses}", f"one per mass group, of {self.group_mass.tolist()} kg"
                 )
 
     def on_feet(self, feet: Sequence[Float[np.ndarray, "F 2"]]) -> ObjectModel:
@@ -423,7 +427,7 @@ def even_shares(lever: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
 def _checked_groups(name: str, values: np.ndarray, count: int, lowest: int) -> np.ndarray:
     array = np.asarray(values)
     if array.shape != (count,) or not np.issubdtype(array.dtype, np.integer):
-        raise InvalidValueError(name, values, f"{count} integers, one a particle")
+        raise InvalidValueError(name, values, f"{count} integers, one per particle")
     present = np.unique(array[array >= 0])
     if array.min() < lowest or not np.array_equal(present, np.arange(len(present))):
         raise InvalidValueError(

@@ -35,7 +35,7 @@ class Camera:
     angle: float = 0.0
     """Standard deviation of a yaw, per frame [rad]."""
     delay: tuple[float, float] = (0.0, 0.0)
-    """Least and greatest time by which stamps are late [s]; one draw a trial."""
+    """Least and greatest time by which stamps are late [s]; one draw per trial."""
     dropout: float = 0.0
     """Share of the frames that are lost."""
 

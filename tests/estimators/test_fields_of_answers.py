@@ -24,7 +24,7 @@ def answer(**fields: Any) -> Estimate:
         ({"status": "fine"}, "Estimate.status: got 'fine'"),
         ({"distribution": np.ones(2)}, "a MassDistribution, or None"),
         ({"distribution": None}, "a MassDistribution where the status is ok"),
-        ({"distribution": MassDistribution(np.array([4e300, 0.1]), np.array([0.5]))}, "at most 1000 kg a particle"),
+        ({"distribution": MassDistribution(np.array([4e300, 0.1]), np.array([0.5]))}, "at most 1000 kg per particle"),
         ({"covariance": np.full((2, 2), np.nan)}, "Estimate.covariance: got '4 NaN'"),
         ({"covariance": np.diag([-1e-4, 1e-4])}, "variances >= 0"),
         ({"covariance": np.array([[1.0, 0.5], [0.0, 1.0]])}, "a symmetric matrix"),

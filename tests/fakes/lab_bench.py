@@ -101,7 +101,7 @@ def write_toml(path: Path, fields: dict[str, Any]) -> Path:
 
 
 def write_csv(path: Path, t: Trajectory, **more: Any) -> Path:
-    """One row a sample, milliseconds since 1970."""
+    """One row per sample, milliseconds since 1970."""
     table = pd.DataFrame({"stamp": 1e3 * (EPOCH + t.time_s), **columns(t), **more})
     table.to_csv(path, index=False)
     return path

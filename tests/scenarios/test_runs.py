@@ -308,7 +308,7 @@ def test_a_method_that_hangs_crashes_or_eats_memory_is_a_row_and_the_rest_goes_o
     ways = ("hang", "crash", "leave", "eat")
     more = "".join(f'[methods.{way}]\nmethod = "misbehaving"\nway = "{way}"\n' for way in ways)
     path = small_scenario(tmp_path, ("rigid",), more + "[methods.hidden_states]\n")
-    path.write_text(path.read_text(encoding="utf-8").replace(', "ft300s"', ""), encoding="utf-8")  # one row a method
+    path.write_text(path.read_text(encoding="utf-8").replace(', "ft300s"', ""), encoding="utf-8")  # one row per method
     (tmp_path / "faulty.py").write_text(FAULTY)
     command = [sys.executable, tmp_path / "faulty.py", "run", path, "--out", tmp_path / "out", "--workers", "2"]
     # the methods are added where the workers find them too: in the main module

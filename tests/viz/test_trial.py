@@ -99,7 +99,7 @@ def test_the_band_holds_the_sensors_errors_but_for_its_share(turn_folder, turn_k
     trajectory = load_trajectory(turn_folder / "trials" / turn_key / "trajectory.parquet")
     clean = wrench_fit("", draw_sensing(trajectory, preset("ideal"), 0), None)
     inside = []
-    for seed in range(30):  # the bias is one draw a trial, so that one trial tells little
+    for seed in range(30):  # the bias is one draw per trial, so that one trial tells little
         fit = trial_view(turn_folder, turn_key, seed=seed, meshes=False).fit
         inside.append((np.abs(fit.measured - clean.measured) < fit.band)[fit.steady].mean(axis=0))
     assert_allclose(np.mean(inside), 0.95, atol=0.05)

@@ -65,7 +65,7 @@ def draw_groups(
     Args:
         axis: matplotlib's axes.
         shape: geometry of the object.
-        values: one a group, (n_m,), hatched where not finite; None where there is no answer.
+        values: one per group, (n_m,), hatched where not finite; None where there is no answer.
         scale: of the colors.
         digits: of the numbers, after the point.
         letters: size of the numbers, points; 0 without numbers.
@@ -186,7 +186,7 @@ class MeanAnswer:
 
 
 def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], title: str) -> Figure:
-    """Differences of mass [kg per group]: a row an object, a column a method.
+    """Differences of mass [kg per group]: a row per object, a column per method.
 
     Args:
         rows: of a scenario run, under one support and sensing; differences are means over the draws.
@@ -259,7 +259,7 @@ def map_scales(truths: Sequence[np.ndarray], answers: Sequence[MeanAnswer]) -> t
 def mass_maps(
     shape: ObjectShape, truth: np.ndarray, groups: Mapping[str, Sequence[MeanAnswer]], scales: tuple[Scale, Scale]
 ) -> Figure:
-    """Masses and differences of one object: a row a support and sensing; the truth, then two maps a method.
+    """Masses and differences of one object: a row per support and sensing; the truth, then two maps per method.
 
     Args:
         shape: geometry of the object.

@@ -26,7 +26,7 @@ MANY = 400
 
 @mpl.rc_context(STYLE)
 def nad_distribution(rows: Sequence[Row]) -> Figure:
-    """One line a method: a point an estimate, a bar from the lower to the upper quartile, a stroke at the median."""
+    """One line per method: a point per estimate, a bar from the lower to the upper quartile, a stroke at the median."""
     methods = methods_of(rows)
     figure = Figure(figsize=(5.4, 0.36 * len(methods) + 0.8), layout="constrained")
     axis = figure.subplots()
@@ -56,9 +56,9 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
 
 @mpl.rc_context(STYLE)
 def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
-    """NAD against a swept setting: a line a method through the medians, a band from the lower to the upper quartile.
+    """NAD against a swept setting: a line per method through the medians, a band from the lower to the upper quartile.
 
-    A setting of many words has a line for each word: a bar of the first method's median, and a point a method.
+    A setting of many words has a line for each word: a bar of the first method's median, and a point per method.
 
     Args:
         rows: of a scenario run; `kind`, `method`, `nad` and the swept column are read.

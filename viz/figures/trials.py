@@ -38,7 +38,7 @@ def trials_figure(view: TrialsView) -> Figure:
 
 
 def _draw_angle(axis: Axes, view: TrialsView, hinge: int) -> None:
-    """Draw a hinge's joint angle: a line a trial, in its color, with its number at the end."""
+    """Draw a hinge's joint angle: a line per trial, in its color, with its number at the end."""
     colors = action_colors(len(view.actions))
     for number, camera in view.cameras.items():
         time, angle = camera.time_s, np.degrees(camera.joint_angles[:, hinge])

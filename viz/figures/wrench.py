@@ -27,7 +27,7 @@ TAIL = 0.002
 
 @mpl.rc_context(STYLE)
 def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
-    """One column a trial; force x, force y and torque z below each other, each on the scale of all trials.
+    """One column per trial; force x, force y and torque z below each other, each on the scale of all trials.
 
     Steady samples are colored, the others gray; the line is the prediction, with its 95 % band. Below each component
     is the difference measured - predicted.

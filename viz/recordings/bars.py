@@ -50,7 +50,7 @@ class BarSeries:
 
 @dataclass(frozen=True, eq=False)
 class BarScene:
-    """One bar a group of each series."""
+    """One bar per group of each series."""
 
     names: tuple[str, ...]
     """Names of the groups."""

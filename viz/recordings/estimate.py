@@ -201,7 +201,7 @@ class _LoadScene:
             return FULL_CELL * shape.cell * np.sqrt(np.clip(load / largest, 0.0, 1.0))
 
         tops = [float(each.mass.max()) for each in (answer, truth) if each is not None]
-        scale = style.Scale(max(*tops, 1e-9), style.MASS_COLORS, "mass, kg a particle")
+        scale = style.Scale(max(*tops, 1e-9), style.MASS_COLORS, "mass, kg per particle")
         colors = packed(scale.color(self.mass[:, shape.mass_group]))
         # the smallest disc still shows the color of a particle that carries no load
         radii = np.maximum(radius(load), 0.1 * shape.cell)

@@ -146,7 +146,7 @@ class MassMap:
         log_bar(node / "bar", self.scale, place, self.canvas.pixel(self.box))
 
     def _log_texts(self, node: Node, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float) -> None:
-        """Log a number a group and its name above, where there is room."""
+        """Log a number per group and its name above, where there is room."""
         count, middles, digits = self.shape.n_m, group_middles(self.shape), self.scale.digits
         texts = [[f"{value:.{digits}f}" for value in row] for row in values]
         apart = np.array([0.0, LINE * pixel / 2])

@@ -230,7 +230,7 @@ def log_fits(stream: rr.RecordingStream, root: str, fits: Sequence[WrenchFit]) -
 
 
 def fits_blueprint(root: str, fits: Sequence[WrenchFit]) -> rrb.Container:
-    """Views of the entities that `log_fits` logs: force above torque, a column a trial."""
+    """Views of the entities that `log_fits` logs: force above torque, a column per trial."""
     hidden = rrb.PlotLegend(visible=False)
     columns = [
         rrb.Vertical(

@@ -19,7 +19,7 @@ MOST_DRAWN = 3
 
 @mpl.rc_context(STYLE)
 def answer_maps(answers: Sequence[Answer]) -> Figure:
-    """A row a method: its masses, and half of each 90 % interval, hatched where there is none.
+    """A row per method: its masses, and half of each 90 % interval, hatched where there is none.
 
     Args:
         answers: of one object, one or more with masses.

@@ -52,7 +52,7 @@ def mass_map(answer: Answer) -> Text:
 
 
 def _grid(answer: Answer) -> np.ndarray:
-    """Group at each character, two a cell; -1 outside."""
+    """Group at each character, two per cell; -1 outside."""
     shape = answer.shape
     cells = shape.particles[shape.cells]
     places = np.round((cells - cells.min(axis=0)) / shape.cell).astype(int)

@@ -314,7 +314,7 @@ def percent(part: float) -> str:
 
 
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Median NAD at each value of a swept setting; of one in words a row a value, with error over claimed error."""
+    """Median NAD at each value of a swept setting; of one in words a row per value, with error over claimed error."""
     values = axis_values(rows, axis)
     if any(isinstance(value, str) for value in values):
         return _sources_table(rows, axis, title)
@@ -344,7 +344,7 @@ def _median(values: Iterable[float]) -> Entry:
 
 
 def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
-    """One metric over many objects: a row a support, sensing, point of the sweep and method; quantiles over objects.
+    """One metric over many objects: a row per support, sensing, point of the sweep and method; quantiles over objects.
 
     The draws of an object count as their mean, so that every object weighs the same.
     """
@@ -412,7 +412,7 @@ CLAIMS = "Errors of the masses over those claimed"
 
 
 def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
-    """Errors against those claimed: a row a method; None where no method claims any."""
+    """Errors against those claimed: a row per method; None where no method claims any."""
     lines = []
     for method in methods_of(rows):
         of = select(rows, method=method)

@@ -9,7 +9,7 @@ from viz.trials import TrialsView
 
 
 def trials_table(view: TrialsView) -> Table:
-    """A row a trial: its number, its action, and what moved."""
+    """A row per trial: its number, its action, and what moved."""
     pushed = any(action.pushes for action in view.actions)
     hinges = range(0 if view.shape.chain is None else len(view.shape.chain.hinges))
     columns = ["contact slid, mm"] * pushed + [f"hinge {hinge}, deg" for hinge in hinges]

@@ -111,7 +111,7 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def _table(title: str, first: str, headings: Iterable[str], lines: Mapping[str, Sequence[str]]) -> Table:
-    """Table of cells, a row a line; `first` heads their names."""
+    """Table of cells, a row per line; `first` heads their names."""
     from rich import box
 
     from scenarios.cli.terminal import open_table
@@ -137,7 +137,7 @@ def _number(value: float, form: str) -> str:
 
 
 def _by_cell(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:
-    """Table of one method, a row a world and kind, and one of the reference."""
+    """Table of one method, a row per world and kind, and one of the reference."""
     from scenarios.benchmark.score import figures
 
     (name, own), (_, even) = rows.items()

@@ -92,7 +92,7 @@ def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
 
 
 def _watch(device: WrenchSensor, seconds: float, send: Callable[[list[float], np.ndarray], None] | None) -> None:
-    """Send every sample to a viewer, or print a line a second without one."""
+    """Send every sample to a viewer, or print a line per second without one."""
     end, due = time.monotonic() + seconds, time.monotonic() + 1.0
     kept: list[np.ndarray] = []
     while (now := time.monotonic()) < end:

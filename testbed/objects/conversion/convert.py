@@ -71,10 +71,10 @@ class Converted:
         """Mass of each part [kg]: as given, or one mass in all shared by volume.
 
         Raises:
-            InvalidValueError: neither one mass nor one a part, or one that is not positive.
+            InvalidValueError: neither one mass nor one per part, or one that is not positive.
         """
         if not (len(given) in (0, 1, len(self.parts)) and all(0 < mass < 100 for mass in given)):
-            allowed = f"one mass > 0 and < 100 kg in all, or {len(self.parts)}, one a part from left to right"
+            allowed = f"one mass > 0 and < 100 kg in all, or {len(self.parts)}, one per part from left to right"
             raise InvalidValueError("mass", list(given), allowed)
         if len(given) != 1:
             return tuple(given)

@@ -52,7 +52,7 @@ def true_loads(obj: ObjectModel) -> np.ndarray:
 
 
 def directions(obj: ObjectModel, action: Rotate | Slide) -> np.ndarray:
-    """Three rows of Q from geometry alone, by numpy: one column a mass group."""
+    """Three rows of Q from geometry alone, by numpy: one column per mass group."""
     x, y = (obj.shape.particles - obj.shape.grasps[action.grasp].position).T
     if isinstance(action, Slide):
         unit = np.tile([np.cos(action.direction), np.sin(action.direction)], (len(x), 1))

@@ -296,7 +296,7 @@ def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_pa
     links = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
     for mapping, error in (
         (mapping_of(fold, object=str(FOLD)), "camera: got None; allowed: the poses of 2 links"),
-        (mapping_with(fold, str(FOLD), links[:1]), "allowed: 2, one a link"),
+        (mapping_with(fold, str(FOLD), links[:1]), "allowed: 2, one per link"),
         (mapping_with(fold, str(FOLD), links[::-1]), "from where the hand has it"),
     ):
         assert error in refused(tmp_path, fold, mapping)

@@ -260,7 +260,7 @@ def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsy
     with pytest.raises(SystemExit) as ended:
         main(["mesh", str(path), str(tmp_path / "none.stl"), "--out", str(tmp_path / "out")])
     assert ended.value.code == 1 and "a mesh file; there is none" in capsys.readouterr().out
-    with pytest.raises(InvalidValueError, match="2, one a part"):
+    with pytest.raises(InvalidValueError, match="2, one per part"):
         made.masses((1.0, 2.0, 3.0))
 
 

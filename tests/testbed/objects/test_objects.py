@@ -151,7 +151,7 @@ def test_an_object_with_solids_has_their_moments():
 
 @pytest.mark.parametrize("mass", [[0.1, 0.2], [0.1]])
 def test_solids_must_be_the_mass_groups(mass: list[float]):
-    with pytest.raises(InvalidValueError, match=r"ObjectModel\.solids: .*one a mass group, of \[0\.1, 0\.3\] kg"):
+    with pytest.raises(InvalidValueError, match=r"ObjectModel\.solids: .*one per mass group, of \[0\.1, 0\.3\] kg"):
         ObjectModel("X", shape(), distribution((0.1, 0.3)), tuple(solid(mass=m) for m in mass))
 
 

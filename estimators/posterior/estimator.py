@@ -102,11 +102,12 @@ def posterior_of(
     weight = weighed(shape, weight)
     errors = errors or ERRORS[support]
     lifts = lifts_among(shape, trajectories)
-    on_table = _on_table(shape, tuple(trajectories), support, errors, unknown_bias)
+    in_air = tuple(trajectories[index].setup for index in lifts)
+    on_table = _on_table(shape, tuple(trajectories), in_air, support, errors, unknown_bias)
     if on_table is None:
         return None
     windows = on_table.windows
-    setup = SetupErrors.largest([trajectories[index].setup for index in {*windows.trial.tolist(), *lifts}])
+    setup = windows.setup
     unknowns = priors(shape, setup, errors, weight, on_table.trials, joined=support == "springs")
     if at is not None:
         unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
@@ -123,14 +124,19 @@ def posterior_of(
 def _on_table(
     shape: ObjectShape,
     trajectories: tuple[Trajectory, ...],
+    in_air: tuple[SetupErrors, ...],
     support: JoinedSupport,
     errors: ModelErrors,
     unknown_bias: bool,
 ) -> OnTable | None:
-    """Trials on the table; None without any at constant speed. Every method's misfit asks for those of the same."""
+    """Trials on the table; None without any at constant speed. Every method's misfit asks for those of the same.
+
+    The setup of the lifts, `in_air`, is theirs too.
+    """
     windows = observe(shape, trajectories, errors)
     if windows is None or bool(windows.accelerated.all()):
         return None
+    windows = replace(windows, setup=SetupErrors.largest([windows.setup, *in_air]))
     if unknown_bias:
         windows = replace(windows, bias=windows.bias + torch.tensor(FULL_SCALE**2).diag())
     return OnTable.of(shape, windows, support, errors)

@@ -150,12 +150,15 @@ def test_an_answer_has_the_errors_of_the_setup_with_their_own():
     assert abs(numbers["table_tilt_1"]) < 3 * LAB.table_tilt and numbers["table_tilt_1_std"] <= LAB.table_tilt
 
 
-def test_friction_by_place_that_a_lift_alone_states_is_an_unknown_on_the_table():
+@pytest.mark.parametrize(
+    "error", [{"place_friction": 0.03}, {"contact_points": 6}], ids=lambda error: next(iter(error))
+)
+def test_an_error_that_a_lift_alone_states_is_an_unknown_on_the_table(error: dict[str, float]):
     *on_table, lift = KINDS["lifts"][1]()
-    uneven = replace(lift, setup=replace(EXACT_SETUP, place_friction=0.03))
+    uneven = replace(lift, setup=replace(EXACT_SETUP, **error))
     found = posterior_of(OBJECT.shape, OBJECT.total_mass, [*on_table, uneven])
     assert found is not None and found.optimum.converged
-    assert float(found.optimum.z[found.unknowns.at["place_friction"]].abs().max()) > 0
+    assert float(found.optimum.z[found.unknowns.at[next(iter(error))]].abs().max()) > 0
 
 
 def patterns_of_contact() -> list[tuple[Tensor, Tensor, Tensor]]:

@@ -17,7 +17,7 @@ from statistics import fmean
 from matplotlib.figure import Figure
 from tables import PADS, claimed, markdown, nad_of, seconds_of
 
-from estimators.evaluation.statistics import AXIS, Row, methods_of, select
+from estimators.evaluation.statistics import AXIS, Row, methods_of, select, summarize
 from scenarios import load_results, load_scenario, run_scenario
 from scenarios.cli.run import show_progress
 from scenarios.config import Scenario
@@ -66,6 +66,12 @@ def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
     return [(method, select(rows, method=method, **{axis: value})) for method in methods_of(rows) for value in values]
 
 
+def within(rows: list[Row]) -> str:
+    """Mean NAD in percent of answers to drawn objects, with its interval, bootstrapped over the objects."""
+    found = summarize(dict(enumerate(100 * row["nad"] for row in rows if row["nad"] is not None)))
+    return "" if found is None else f"{found.mean:.1f} [{found.low:.1f}, {found.high:.1f}]"
+
+
 def drawn(sets: dict[str, list[tuple[str, list[Row]]]]) -> Figure:
     """Mean NAD of `bayes` against robot time, a curve for each kind of trials; gaps where a set has no answer."""
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
@@ -107,7 +113,8 @@ def main() -> None:
         sets[kind] = sets_of(folder)
         for method, rows in sets[kind]:
             answers = f"{sum(row['nad'] is not None for row in rows)} of {len(rows)}"
-            lines.append([kind, f"`{method}`", seconds_of(rows), nad_of(rows), *claimed(rows), answers])
+            nad = within(rows) if given.drawn else nad_of(rows)
+            lines.append([kind, f"`{method}`", seconds_of(rows), nad, *claimed(rows), answers])
     print(markdown(lines))
     if given.figure:
         drawn(sets).savefig(given.figure, dpi=150)

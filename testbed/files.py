@@ -146,6 +146,8 @@ def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
     Raises:
         OSError: no file, one that cannot be read, a pipe or a device, or a larger one.
     """
+    if Path(path).is_dir():
+        raise OSError(errno.EISDIR, "a folder, not a file", str(path))
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):

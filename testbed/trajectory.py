@@ -148,6 +148,8 @@ class Trajectory:
         )
 
     def __post_init__(self) -> None:
+        if not isinstance(self.action, Action):
+            raise InvalidValueError("Trajectory.action", self.action, "an action, such as heft.Rotate(0)")
         time = frozen_array("Trajectory.time_s", self.time_s, (None,))
         if len(time) == 0 or (np.diff(time) <= 0).any():
             raise InvalidValueError(
@@ -202,7 +204,13 @@ class Trajectory:
         return replace(self, figures={}, provenance=kept)
 
     def mask(self, *phases: Phase) -> np.ndarray:
-        """Mask of the samples in the given phases, shape (T,)."""
+        """Mask of the samples in the given phases, shape (T,).
+
+        Raises:
+            InvalidValueError: something that is no phase.
+        """
+        if unknown := [phase for phase in phases if not isinstance(phase, Phase)]:
+            raise InvalidValueError("phases", unknown, "members of heft.Phase, such as Phase.STEADY")
         return np.isin(self.phase, phases)
 
 
@@ -229,8 +237,9 @@ def header_of(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def save_trajectory(trajectory: Trajectory, path: Path) -> None:
+def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
+    path = Path(path)
     columns: dict[str, np.ndarray] = {
         "time_s": trajectory.time_s,
         "phase": trajectory.phase,

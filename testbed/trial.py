@@ -6,17 +6,16 @@ import json
 import math
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, ObjectModel, ObjectShape
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
+from testbed.worlds.draw import WorldDraw
 from testbed.worlds.seeds import seed_of
-
-if TYPE_CHECKING:
-    from testbed.worlds.draw import WorldDraw
 
 
 @dataclass(frozen=True)
@@ -31,10 +30,9 @@ class Support:
     """Vertical stiffness between neighboring groups, N/m."""
 
     def __post_init__(self) -> None:
-        if math.isnan(self.stiffness) or self.stiffness < 0:
-            raise InvalidValueError(
-                "Support.stiffness", self.stiffness, "a number >= 0, N/m; infinite is one rigid body"
-            )
+        if not isinstance(self.stiffness, int | float) or not self.stiffness >= 0:
+            allowed = "a number >= 0, N/m; infinite is one rigid body: heft.parse_support takes names"
+            raise InvalidValueError("Support.stiffness", self.stiffness, allowed)
 
     @property
     def is_rigid(self) -> bool:
@@ -92,7 +90,7 @@ class Trial:
     sensing: str = "ideal"
     """Name of a sensing preset."""
     seed: int = 0
-    """Number of the draw of the sensor's errors: the runner's secret makes its seed."""
+    """Number of the draw of the sensor's errors, >= 0; the same trial run twice has the same errors."""
     world: WorldDraw | None = None
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
@@ -101,7 +99,13 @@ class Trial:
             raise InvalidValueError("Trial.object", self.object, 'an ObjectModel, such as heft.load_object("L2")')
         if not isinstance(self.support, Support):
             raise InvalidValueError("Trial.support", self.support, "heft.OWN_WEIGHT, heft.RIGID or heft.Support(N/m)")
+        if not isinstance(self.action, Action):
+            raise InvalidValueError("Trial.action", self.action, "an action, such as heft.Rotate(0)")
         preset(self.sensing)
+        object.__setattr__(self, "seed", check_integer("Trial.seed", self.seed, least=0, most=2**63))
+        if not isinstance(self.world, WorldDraw | None):
+            allowed = 'a draw, such as heft.WorldDraw.of(heft.world("lab"), obj, 0), or None'
+            raise InvalidValueError("Trial.world", self.world, allowed)
         if self.world is not None and self.world.world.none:
             object.__setattr__(self, "world", None)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):

@@ -110,11 +110,17 @@ def check_positive_fields(value: object, *names: str) -> None:
         check_positive(f"{type(value).__name__}.{name}", getattr(value, name))
 
 
-def check_integer(name: str, value: int, least: int = 1, most: int = 1_000_000) -> None:
-    """Raise InvalidValueError unless `value` is an integer from `least` to `most`, and no bool."""
-    if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
-        above = f" and <= {most}" if isinstance(value, int) and value > most else ""
+def check_integer(name: str, value: object, least: int = 1, most: int = 1_000_000) -> int:
+    """The value as an int, if it is an integer from `least` to `most`, of Python or numpy, and no bool.
+
+    Raises:
+        InvalidValueError: it is not.
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not least <= value <= most:
+        above = f" and <= {most}" if whole and value > most else ""
         raise InvalidValueError(name, value, f"an integer >= {least}{above}")
+    return int(value)
 
 
 def is_number(value: object) -> TypeGuard[float]:

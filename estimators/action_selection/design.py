@@ -29,7 +29,7 @@ from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.presets import Sensing
-from testbed.validation import check_positive_fields
+from testbed.validation import check_kilograms, check_positive_fields
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 Criterion = Literal["A", "D", "I"]
@@ -116,7 +116,10 @@ class Guess:
     """Torque of friction of each hinge of an object in links [N m]; None before any trial."""
 
     def __post_init__(self) -> None:
-        check_positive_fields(self, "weight", "friction")
+        check_kilograms("Guess.weight", self.weight)
+        check_positive_fields(self, "friction")
+        if not isinstance(self.sensing, Sensing):
+            raise InvalidValueError("Guess.sensing", self.sensing, 'a Sensing, such as heft.preset("ft300s")')
         if not self.supports or set(self.supports) - set(SUPPORTS):
             raise InvalidValueError("Guess.supports", self.supports, f"one or more of {', '.join(SUPPORTS)}")
 

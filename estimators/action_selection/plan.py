@@ -35,8 +35,10 @@ class Goal:
     def __post_init__(self) -> None:
         for name in ("until", "budget_s"):
             value = getattr(self, name)
-            if value is not None and not (is_number(value) and value > 0):
-                raise InvalidValueError(f"Goal.{name}", value, "a finite number > 0, or None")
+            most = 1.0 if name == "until" else np.inf
+            if value is not None and not (is_number(value) and 0 < value <= most):
+                allowed = "a ratio above 0, up to 1" if name == "until" else "a finite number > 0"
+                raise InvalidValueError(f"Goal.{name}", value, f"{allowed}, or None")
         check_integer("Goal.most", self.most)
 
     def met(self, nad: float) -> bool:
@@ -51,7 +53,7 @@ class Goal:
         """Reason to end after so many trials; empty where there is none."""
         if self.met(belief.expected_nad):
             return "the target is met"
-        return f"{self.most} trials, the most that may be" if trials >= self.most else ""
+        return f"{self.most} trials, the limit" if trials >= self.most else ""
 
 
 @dataclass(eq=False)

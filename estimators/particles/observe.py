@@ -17,7 +17,7 @@ from testbed.actions.base import Action
 from testbed.objects.model import ObjectShape
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
-from testbed.sensing.windows import SteadyWindow, reduced_trials, steady_windows
+from testbed.sensing.windows import SteadyWindow, check_trials, reduced_trials, steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
 
@@ -41,6 +41,7 @@ def observe(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
+    check_trials(shape, trajectories)
     found = _observed(shape, tuple(trajectories), errors or ModelErrors())
     return None if found is None else found.like({name: value.clone() for name, value in found.by_window.items()})
 

@@ -128,7 +128,7 @@ def _integers(value: Any) -> set[int]:
 
 def _redrawn(index: int, seen: Trajectory, clean: Trajectory, integers: Sequence[int]) -> Iterator[str]:
     """Integers that, taken as a seed of some sensor's draw, leave the clean wrench when the draw is taken off."""
-    silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench))
+    silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench), provenance={"runner": "simulation"})
     for integer in integers:
         for name, sensor in PRESETS.items():
             if name == "ideal":

@@ -80,11 +80,11 @@ def export(
     text = written(exported, format_, inertial=inertial, scene=scene)
     name = file_name(f"{exported.name}_{row['key'][:8]}.{_ENDING[format_]}")
     path = out or inside(folder, "exports", name)
+    table = None if draws is None else posterior_table(folder, row, draws)  # refused before anything is written
     for file, content in ((path, text), (path.with_suffix(".json"), to_sidecar(exported))):
         write_text(file, content)
         print(file)
-    if draws is not None:
-        table = posterior_table(folder, row, draws)
+    if table is not None:
         write_whole(path.with_suffix(".draws.csv"), lambda part: table.to_csv(part, index=False))
         print(path.with_suffix(".draws.csv"))
         for number, drawn in enumerate(drawn_from(exported, table) if models else ()):

@@ -128,16 +128,18 @@ def actions_of(
     from testbed.actions.lift import Lift
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
-    from testbed.validation import check_integer
+    from testbed.validation import Range, check_integer
 
     shape, allowed = model.shape, named_grasps(model, grasps)
     for name, count in (("pivots", pivots), ("accelerated", accelerated), ("slides", slides), ("pushes", pushes)):
         check_integer(name, count, least=0)
     if pushes and shape.chain is not None:
         raise InvalidValueError("pushes", pushes, "0: an object with hinges is not pushed")
-    most = 0 if support != "rigid" else math.inf
-    if not 0 <= lifts <= most:
-        raise InvalidValueError("lifts", lifts, "an integer >= 0, and 0 unless the support is rigid")
+    check_integer("lifts", lifts, least=0)
+    if lifts and support != "rigid":
+        raise InvalidValueError("lifts", lifts, "0 unless the support is rigid: one block alone would come along")
+    Range(1.5, 60, "s").check("duration", duration)
+    check_links(model, support)
     if shape.chain is not None:
         drags = random_drags(shape, allowed, 2 * max(pivots, slides), 0)  # every other one is a turn
         return [Weigh(), *drags[1::2][:pivots], *drags[::2][:slides]]
@@ -270,6 +272,7 @@ def plan(
         check_kilograms("--weight", weight)
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
     carrier, goal = search.assumed_support or support_of(model.shape).name, search.goal
+    check_links(model, carrier)
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated
     guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
     allowed = named_grasps(model, search.grasps)
@@ -286,6 +289,16 @@ def plan(
     console.print(*_conclusion(model.shape, made, guess, goal), sep="\n")
     if figure is not None or record is not None:
         _draw(plan_view(model, made, f"Plan of {len(made.steps)} actions: {title}"), figure, record)
+
+
+def check_links(model: ObjectModel, support: str) -> None:
+    """Refuse another support than own weight for an object with hinges.
+
+    Raises:
+        InvalidValueError: one rigid body, or either.
+    """
+    if model.shape.chain is not None and support != "own_weight":
+        raise InvalidValueError("support", support, "own_weight: links rest on their own weight")
 
 
 def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:

@@ -55,15 +55,16 @@ def orderly_end() -> Iterator[None]:
 
 
 def percent(text: str | None, name: str) -> float | None:
-    """ "5%" or "0.05" as a part of 1; None stays None.
+    """ "5%" as a part of 1; None stays None.
 
     Raises:
-        InvalidValueError: not a part between 0 and 1.
+        InvalidValueError: no percent sign, or not between 0 and 100 %.
     """
     if text is None:
         return None
-    whole = text.strip().endswith("%")
-    value = _number(text.strip().removesuffix("%"), name, text, "a percentage such as 5%") / (100 if whole else 1)
+    if not text.strip().endswith("%"):
+        raise InvalidValueError(name, text, "a percentage such as 5%, with its sign")
+    value = _number(text.strip().removesuffix("%"), name, text, "a percentage such as 5%") / 100
     if not 0 < value < 1:
         raise InvalidValueError(name, text, "a percentage above 0% and below 100%, such as 5%")
     return value

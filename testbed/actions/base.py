@@ -78,7 +78,7 @@ class Action:
 
     def __post_init__(self) -> None:
         if self.moves:
-            check_integer(self._field("grasp"), self.grasp, least=0)  # pyright: ignore[reportArgumentType]
+            object.__setattr__(self, "grasp", check_integer(self._field("grasp"), self.grasp, least=0))
 
     @property
     def dragged(self) -> bool:

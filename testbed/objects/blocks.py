@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ROBOTIQ_2F85, Grasp, Hand, MassDistribution, ObjectModel, ObjectShape
-from testbed.validation import check_integer
+from testbed.validation import MOST_WEIGHT, Range, check_integer
 
 MOST_ROWS, MOST_BLOCKS, MOST_GRID = 100, 400, 100
 """Rows and columns of a layout, its blocks, and particles along a block's side, at most."""
@@ -34,11 +34,13 @@ def parse_layout(rows: list[str]) -> list[Cell]:
     """Blocks of a drawn layout, bottom row first and left to right in each row.
 
     Args:
-        rows: one string a row, top to bottom; "1" is a block, "0", "." or a space is none.
+        rows: one string per row, top to bottom; "1" is a block, "0", "." or a space is none.
 
     Raises:
         InvalidValueError: an unknown character, no block, or blocks not joined edge to edge.
     """
+    if isinstance(rows, str) or not all(isinstance(row, str) for row in rows):
+        raise InvalidValueError("layout", rows, 'a list of rows, such as ["10", "11"]')
     widest, blocks = max(map(len, rows), default=0), sum(row.count("1") for row in rows)
     if max(len(rows), widest) > MOST_ROWS or blocks > MOST_BLOCKS:
         given = f"{len(rows)} rows of up to {widest}, {blocks} blocks"
@@ -54,18 +56,22 @@ def parse_layout(rows: list[str]) -> list[Cell]:
     ]
     if not cells:
         raise InvalidValueError("layout", rows, 'at least one "1"')
+    _check_joined(cells, "layout")
+    return cells
+
+
+def _check_joined(cells: Sequence[Cell], field: str) -> None:
+    """Raise InvalidValueError unless the cells are distinct and joined edge to edge."""
+    if len(set(cells)) < len(cells):
+        raise InvalidValueError(field, [cell.name for cell in cells], "each place once")
     joined, frontier = {cells[0]}, [cells[0]]
     while frontier:
         for neighbor in neighbors(frontier.pop()):
             if neighbor in cells and neighbor not in joined:
                 joined.add(neighbor)
                 frontier.append(neighbor)
-    apart = [cell.name for cell in cells if cell not in joined]
-    if apart:
-        raise InvalidValueError(
-            "layout", f"{', '.join(apart)} apart from {cells[0].name}", "blocks joined edge to edge"
-        )
-    return cells
+    if apart := [cell.name for cell in cells if cell not in joined]:
+        raise InvalidValueError(field, f"{', '.join(apart)} apart from {cells[0].name}", "blocks joined edge to edge")
 
 
 def layout_of(cells: Collection[Cell]) -> list[str]:
@@ -106,9 +112,18 @@ def block_object(
         hand: the gripper, which takes rows of blocks as far as it opens.
 
     Raises:
-        InvalidValueError: grid < 1, lengths that do not match, or values out of range.
+        InvalidValueError: cells that are not joined, grid < 1, lengths that do not match, or values out of range.
     """
-    check_integer("grid", grid, most=MOST_GRID)
+    grid = check_integer("grid", grid, most=MOST_GRID)
+    if not all(isinstance(cell, Cell) for cell in cells) or not cells:
+        raise InvalidValueError("cells", cells, "one Cell(column, row) or more, as parse_layout gives them")
+    _check_joined(cells, "cells")
+    for field, length in (("size", size), ("height", height)):
+        Range(0.001, 1, "m").check(field, length)
+    if not isinstance(mass, Sequence | np.ndarray):
+        raise InvalidValueError("mass", mass, "a list of numbers, one per block")
+    for each in mass:
+        Range(0, MOST_WEIGHT, "kg").check("mass", each)
     if len(mass) != len(cells):
         raise InvalidValueError("mass", mass, f"{len(cells)} numbers, one per block, bottom row first, left to right")
     if len(friction_group) != len(cells):

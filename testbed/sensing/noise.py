@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
+from testbed.errors import InvalidValueError
 from testbed.frames import perpendicular
 from testbed.objects.model import GRAVITY
 from testbed.sensing.camera import draw_camera
@@ -33,7 +34,12 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         clean: simulated trial with a perfect sensor.
         sensing: errors of the sensor.
         seed: seed of the draw; one seed gives the same errors to all trials of equal length: mix in the trial's own.
+
+    Raises:
+        InvalidValueError: a trajectory with a sensor's errors.
     """
+    if "sensing" in clean.provenance:
+        raise InvalidValueError("clean", "a trajectory with a sensor's errors", "a simulated trial of a perfect sensor")
     rng, draw = np.random.default_rng(seed), WorldDraw.in_record(clean.provenance)
     provenance = {name: clean.provenance[name] for name in ("runner",) if name in clean.provenance}
     provenance["sensing"] = "drawn"

@@ -130,7 +130,7 @@ def preset(name: str) -> Sensing:
     Raises:
         InvalidValueError: no such preset.
     """
-    found = _FACTORS.fullmatch(name)
+    found = _FACTORS.fullmatch(name) if isinstance(name, str) else None
     if found is None or found["preset"] not in PRESETS:
         allowed = f"one of {', '.join(PRESETS)}; with another bias or drift than stated as ft300s:bias=2:drift=0.5"
         raise InvalidValueError("sensing", name, allowed)

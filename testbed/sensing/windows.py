@@ -327,6 +327,14 @@ def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D
     return np.where(variance > 0, np.maximum(count / time, 1.0), count)
 
 
+def check_trials(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> None:
+    """Raise InvalidValueError unless these are a shape and trajectories of its trials."""
+    if not isinstance(shape, ObjectShape):
+        raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
+    if not isinstance(trajectories, Sequence) or not all(isinstance(each, Trajectory) for each in trajectories):
+        raise InvalidValueError("trajectories", trajectories, "a list of Trajectory objects")
+
+
 def reduced_trials(
     shape: ObjectShape,
     trajectories: Sequence[Trajectory],
@@ -344,9 +352,10 @@ def reduced_trials(
         reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have.
+        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
     """
     found = {}
+    check_trials(shape, trajectories)
     for index, trajectory in enumerate(trajectories):
         action = trajectory.action
         if not trajectory.ok or not kind(action):

@@ -91,7 +91,7 @@ def _check_speed(motion: Motion) -> None:
     if speed.max() > 1:
         joint = int(speed.max(axis=0).argmax())
         raise InfeasibleTrialError(
-            f"speed: joint {joint + 1} would need {speed.max():.2f} of its limit of "
+            f"speed: joint {joint + 1} would need {speed.max():.2f} times its limit of "
             f"{np.degrees(JOINT_SPEED_LIMIT[joint]):.0f} deg/s; move slower"
         )
 

@@ -95,9 +95,9 @@ def test_the_bench_says_why_it_cannot():
 
 
 def test_amounts_are_read_as_typed():
-    assert (percent("5%", "x"), percent("0.05", "x"), percent(None, "x")) == (0.05, 0.05, None)
+    assert (percent("5%", "x"), percent(" 0.5 %", "x"), percent(None, "x")) == (0.05, 0.005, None)
     assert (seconds("60s", "x"), seconds("60", "x"), seconds("2min", "x"), seconds(None, "x")) == (60, 60, 120, None)
-    for wrong in ("0%", "150%", "much"):
+    for wrong in ("0%", "150%", "much", "0.05", "5"):
         with pytest.raises(InvalidValueError):
             percent(wrong, "--until")
     for wrong in ("0s", "-3", "soon"):

@@ -36,7 +36,6 @@ from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, Solid
 from testbed.robot.calibration.file import save_calibration
 from testbed.robot.calibration.static_poses import Calibration
-from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
@@ -267,8 +266,7 @@ CALIBRATION = Calibration(
 def lift() -> Trajectory:
     """A lift of L2 as one rigid body, with a perfect sensor."""
     with SimulationRunner(secret="payload") as simulation:
-        clean = simulation.run(Trial(L2, Lift(2), support=RIGID, sensing="ideal"))
-    return draw_sensing(clean, preset("ideal"), 0)
+        return simulation.run(Trial(L2, Lift(2), support=RIGID, sensing="ideal"))
 
 
 def in_sensor(trajectory: Trajectory) -> InertialParameters:

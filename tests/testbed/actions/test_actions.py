@@ -79,8 +79,13 @@ def test_a_turn_is_about_its_grasp_unless_a_pivot_is_given():
     assert Rotate(2, pivot=(0.1, -0.2)).center(shape).tolist() == [0.1, -0.2]
 
 
+def test_an_index_of_numpy_is_an_integer():
+    assert Rotate(np.argmax([0, 1])).to_dict()["grasp"] == 1  # pyright: ignore[reportArgumentType]
+    assert type(Rotate(np.int32(1)).grasp) is int  # pyright: ignore[reportArgumentType]
+
+
 REFUSED: list[tuple[type[Action], dict[str, object], str]] = [
-    *((Rotate, {"grasp": bad}, "Rotate.grasp") for bad in (-1, 0.5, True, "0", "A1", None, np.int64(1))),
+    *((Rotate, {"grasp": bad}, "Rotate.grasp") for bad in (-1, 0.5, True, "0", "A1", None, np.float64(1), np.True_)),
     *((Accelerate, {"grasp": bad}, "Accelerate.grasp") for bad in (-1, math.nan)),
     *((Lift, {"grasp": bad}, "Lift.grasp") for bad in (-1, None)),
     *((Rotate, {"speed": bad}, "Rotate.speed") for bad in (0.0, math.nan, "1", 10**400)),

@@ -30,7 +30,7 @@ from testbed.simulation.settings import (
     ServoSettings,
     SimulationSettings,
 )
-from testbed.toml import explained, load_toml
+from testbed.toml import InvalidFileError, explained, load_toml
 from testbed.trial import Support, parse_support
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import QUANTITIES, World
@@ -241,6 +241,17 @@ class Scenario(Strict):
             raise InvalidValueError("random", names, "a name of its own for each family")
         self.points()
         return self
+
+    def replaced(self, **fields: Any) -> Scenario:
+        """The scenario with other values of some fields.
+
+        Raises:
+            InvalidFileError: no such field, or a value that does not fit; the message has a line for each error.
+        """
+        try:
+            return Scenario.model_validate(self.model_dump() | fields)
+        except ValidationError as error:
+            raise InvalidFileError("\n".join(explained(error, Scenario))) from None
 
     def changed(
         self,

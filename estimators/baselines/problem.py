@@ -25,6 +25,7 @@ from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
 from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.sensing.windows import check_trials
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
@@ -85,6 +86,7 @@ class Problem:
             InvalidValueError: `use_weight` without a weight.
         """
         known = weighed(shape, weight) if use_weight else None
+        check_trials(shape, trajectories)
         if shape.chain is not None and not takes_links:
             return Estimate(None, "assumption_violated", ONE_PIECE)
         windows = observe(shape, trajectories, errors)

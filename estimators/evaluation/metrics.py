@@ -173,6 +173,9 @@ def normalized_absolute_difference(shape: ObjectShape, estimate: MassDistributio
     Raises:
         InvalidValueError: masses that do not fit the shape.
     """
+    for name, given in (("estimate", estimate), ("truth", truth)):
+        if not isinstance(given, MassDistribution):
+            raise InvalidValueError(name, given, "a MassDistribution, such as `distribution` of an Estimate")
     for name, given in (("estimate.mass", estimate.mass), ("truth.mass", truth.mass)):
         if len(given) != shape.n_m:
             raise InvalidValueError(name, given.tolist(), f"{shape.n_m} numbers, one per mass group")

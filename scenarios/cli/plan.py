@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -241,6 +242,7 @@ def plan(
     """Plan actions that determine an object's masses in little robot time: grasps or pushes, and their directions.
 
     The planner uses only the shape and the weight of the object, so --weight makes a file without masses sufficient.
+    Exit code: 1 without any action.
 
     Examples: heft plan L2 --budget 60s
               heft plan L2 --until 2% --policy batch --figure results/L2_plan
@@ -289,6 +291,8 @@ def plan(
     console.print(*_conclusion(model.shape, made, guess, goal), sep="\n")
     if figure is not None or record is not None:
         _draw(plan_view(model, made, f"Plan of {len(made.steps)} actions: {title}"), figure, record)
+    if not made.steps and not goal.met(made.before.expected_nad):
+        sys.exit(1)
 
 
 def check_links(model: ObjectModel, support: str) -> None:

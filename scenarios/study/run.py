@@ -39,7 +39,7 @@ DEFAULT_SCENARIO = "blocks"
 
 def run_scenario(
     scenario: Scenario,
-    out: Path,
+    out: Path | str,
     worker_count: int,
     progress: Progress,
     executor: str = "local",
@@ -62,7 +62,7 @@ def run_scenario(
         HeftError: something in the scenario cannot be done, or another run writes to `out`.
         OSError: `out` cannot be written to.
     """
-    with carry_out(scenario, out, worker_count, progress, executor, on_result, secret=secret) as (table, _):
+    with carry_out(scenario, Path(out), worker_count, progress, executor, on_result, secret=secret) as (table, _):
         return table
 
 

@@ -90,6 +90,9 @@ def _page(what: object, obj: ObjectModel | ObjectShape | None, answer: Estimate 
     if isinstance(what, ObjectModel):
         return object_page(what)
     if isinstance(what, str | Path):
+        if not Path(what).is_dir():
+            allowed = "a results folder; heft.load_object has an object by its name"
+            raise InvalidValueError("what", str(what), allowed)
         return page_of(Path(what), None)
     if isinstance(what, Trajectory):
         return _trial_page(what, _model(what, obj), answer)
@@ -127,6 +130,10 @@ def _model(what: object, obj: ObjectModel | ObjectShape | None) -> ObjectModel:
 
 def _trial_page(trajectory: Trajectory, obj: ObjectModel, answer: Estimate | None) -> Page:
     """Page of a trajectory; its wrench is predicted from an answer, or from the true masses of a simulated one."""
+    grasp, known = trajectory.action.grasp, len(obj.shape.grasps)
+    if grasp is not None and grasp >= known:
+        allowed = f"the object of this trajectory, of grasp {grasp}: this one has {known}"
+        raise InvalidValueError("obj", obj.name, allowed)
     masses, called = (obj.truth, "the true masses") if trajectory.simulated and obj.masses_known else (None, "")
     if answer is not None:
         masses, called = answer.distribution, "the estimate"

@@ -77,7 +77,7 @@ def test_a_trajectory_and_a_folder(turn_folder: Path, tmp_path: Path):
         (lambda: heft.show(ANSWER), "obj: got 'NoneType'; allowed: the ObjectModel or ObjectShape of this Estimate"),
         (lambda: heft.show(3), "what: got 'int'; allowed: an ObjectModel, a Trajectory, an Estimate, a dict"),  # pyright: ignore[reportArgumentType]
         (lambda: heft.show({}), "what: got 'dict'"),
-        (lambda: heft.show("nowhere"), "DIR: got 'nowhere'; allowed: a results folder"),
+        (lambda: heft.show("nowhere"), "what: got 'nowhere'; allowed: a results folder"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(call, said):

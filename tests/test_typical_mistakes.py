@@ -1,0 +1,84 @@
+"""Typical mistakes in Python: each is refused by its name, with what was given and what is allowed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import heft
+from estimators.action_selection.design import Guess
+from estimators.action_selection.plan import Goal
+from estimators.posterior.estimator import posterior_of
+from estimators.testing.recorded import load_block
+from testbed.errors import HeftError
+from testbed.objects.blocks import Cell, block_object, parse_layout
+
+HEFT: Any = heft
+BLOCK = load_block("L2-own_weight")
+OBJECT, SHAPE, TRIALS = BLOCK.model, BLOCK.model.shape, BLOCK.trials("ft300s")
+
+
+def built(**changes: Any) -> object:
+    """An object of three blocks, made with some other arguments."""
+    given: dict[str, Any] = {"cells": [Cell(0, 0), Cell(1, 0), Cell(1, 1)], "size": 0.05, "height": 0.03, "grid": 3}
+    given |= {"mass": [0.1, 0.2, 0.3], "friction": [0.5], "friction_group": [0, 0, 0]}
+    return block_object("three", **given | changes)
+
+
+MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
+    "a trial in place of trials": (
+        lambda: HEFT.HiddenStates().estimate(SHAPE, 1.8, TRIALS[0], 0), "trajectories: got .*a list of Trajectory"
+    ),
+    "an object in place of its shape": (
+        lambda: HEFT.RandomSearch().estimate(OBJECT, 1.8, TRIALS, 0), "shape: got ObjectModel.*an ObjectShape"
+    ),
+    "an object for a posterior": (lambda: posterior_of(OBJECT, 1.8, TRIALS), "an ObjectShape"),  # type: ignore[arg-type]
+    "an estimate in place of masses": (
+        lambda: HEFT.normalized_absolute_difference(SHAPE, HEFT.Estimate(OBJECT.truth, "ok"), OBJECT.truth),
+        "estimate: got Estimate.*a MassDistribution",
+    ),
+    "an action by its name": (lambda: HEFT.Trial(OBJECT, "rotate"), "Trial.action: got 'rotate'"),
+    "a world by its name": (lambda: HEFT.Trial(OBJECT, HEFT.Rotate(1), world="lab"), "Trial.world: got 'lab'"),
+    "a sensor for its name": (
+        lambda: HEFT.Trial(OBJECT, HEFT.Rotate(1), sensing=HEFT.preset("ft300s")), "sensing: got .*one of ideal"
+    ),
+    "a seed in words": (lambda: HEFT.Trial(OBJECT, HEFT.Rotate(1), seed="a"), "Trial.seed: got 'a'"),
+    "a support by its name": (lambda: HEFT.Support("rigid"), "Support.stiffness: got 'rigid'"),
+    "a phase by its name": (lambda: TRIALS[0].mask("steady"), "members of heft.Phase"),  # type: ignore[arg-type]
+    "errors of a sensor twice": (lambda: HEFT.draw_sensing(TRIALS[0], HEFT.preset("ft300s"), 0), "clean: got"),
+    "a trajectory of no action": (lambda: replace(TRIALS[0], action="rotate"), "Trajectory.action: got 'rotate'"),  # type: ignore[arg-type]
+    "grams": (lambda: Guess(1800.0, HEFT.preset("ft300s")), "Guess.weight: got 1800"),
+    "a sensor's name for a plan": (lambda: Guess(1.8, "ft300s"), "Guess.sensing: got 'ft300s'"),  # type: ignore[arg-type]
+    "a target in percent": (lambda: Goal(until=5), "Goal.until: got 5; allowed: a ratio"),
+    "a layout in a line": (lambda: parse_layout("11"), "layout: got '11'; allowed: a list of rows"),  # type: ignore[arg-type]
+    "a block twice": (lambda: built(cells=[Cell(0, 0)] * 2 + [Cell(1, 0)]), "cells: .*each place once"),
+    "a block apart": (lambda: built(cells=[Cell(0, 0), Cell(5, 5), Cell(1, 0)]), "joined edge to edge"),
+    "cells without names": (lambda: built(cells=[(0, 0), (1, 0), (1, 1)]), "one Cell"),
+    "millimeters": (lambda: built(size=50), "size: got 50; allowed: 0.001 to 1 m"),
+    "masses in grams": (lambda: built(mass=[400, 100, 300]), "mass: got 400; allowed: 0 to 100 kg"),
+    "one mass for all": (lambda: built(mass=0.8), "mass: got 0.8; allowed: a list"),
+    "an object's name to show": (lambda: HEFT.show("L2"), "heft.load_object"),
+    "another object to show": (
+        lambda: HEFT.show(replace(TRIALS[0], action=HEFT.Rotate(9)), OBJECT, file="x.rrd"), "obj: got 'L2'"
+    ),
+    "a picture for a recording": (lambda: HEFT.show(OBJECT, file="x.png"), "FILE.rrd"),
+    "misspelled fields of a scenario": (
+        lambda: HEFT.load_scenario("blocks")[1].replaced(object=["I2"], seeds="3"), "object: no such field"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_typical_mistake_is_refused_by_its_name(name: str):
+    call, said = MISTAKES[name]
+    with pytest.raises(HeftError, match=f"(?s){said}"):
+        call()
+
+
+def test_fields_of_a_scenario_are_replaced_and_paths_may_be_text(tmp_path):
+    scenario = HEFT.load_scenario("blocks")[1].replaced(seeds=2, objects=["I2"])
+    assert (scenario.seeds, scenario.objects) == (2, ["I2"])
+    HEFT.save_trajectory(TRIALS[0], str(tmp_path / "turn.parquet"))
+    assert np.array_equal(HEFT.load_trajectory(tmp_path / "turn.parquet").time_s, TRIALS[0].time_s)

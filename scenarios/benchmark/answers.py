@@ -19,6 +19,8 @@ COLUMNS = ("problem", "group", "mass_kg", "error_kg", "status")
 STATUSES = (*get_args(EstimateStatus), "failed")
 """Statuses of an answer: those of an estimate, and failed."""
 Cell = float | None
+MOST_KG = 1e6
+"""Largest mass of a group [kg]: a search without the weight may diverge, and its answer counts."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def _parsed(
     return problem, group, (mass, error, status)
 
 
-def _number(field: str, text: str, most: float = 1e3) -> Cell:
+def _number(field: str, text: str, most: float = MOST_KG) -> Cell:
     """Number of a field; None where it is empty."""
     if not text:
         return None

@@ -346,7 +346,7 @@ def test_a_file_by_hand_needs_three_columns(published, tmp_path):
 def test_answers_return_from_their_file(published, tmp_path):
     problems = published.benchmark.problems
     answers = {
-        name: Answer((0.1, 1 / 3, 0.0, 0.2, 0.3, 0.4), (math.inf, 0.1, 0.0, 1e-9, 2.0, 1.0), "underdetermined")
+        name: Answer((0.1, 1 / 3, 0.0, 0.2, 0.3, 3.4e4), (math.inf, 0.1, 0.0, 1e-9, 2.0, 1.0), "underdetermined")
         for name in problems
     }
     answers[NAME] = Answer(None, None, "failed")

@@ -114,15 +114,19 @@ def time_trial(table: Table) -> None:
 
 
 def six_turns() -> tuple[list[Trajectory], float]:
-    """Three turns there and back (six turns) and three accelerated turns of L2, felt by an FT-300S."""
+    """Three turns there and back (six turns) and three accelerated turns of L2, by a perfect sensor."""
     model, runner = load_object("L2"), SimulationRunner(SETTINGS)
     turns = [
         Rotate(g, duration=6.0, pivot=between_particles(model.shape, model.shape.grasps[g].position), back=True)
         for g in (0, 2, 4)
     ]
     actions = [*turns, *(Accelerate(g) for g in (0, 2, 4))]
-    trials = [Trial(model, action, sensing="ft300s", seed=i) for i, action in enumerate(actions)]
-    return [runner.run(trial) for trial in trials], model.total_mass
+    return [runner.run_clean(Trial(model, action)) for action in actions], model.total_mass
+
+
+def sensed(clean: list[Trajectory], seed: int) -> list[Trajectory]:
+    """A draw of an FT-300S's errors on each trial."""
+    return [draw_sensing(t, preset("ft300s"), 100 * seed + i) for i, t in enumerate(clean)]
 
 
 def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
@@ -145,10 +149,10 @@ def loss_and_gradient(grid: int) -> tuple[int, Callable[[], None]]:
     return len(shape.particles), once
 
 
-def time_batches(table: Table, trajectories: list[Trajectory], weight: float) -> None:
+def time_batches(table: Table, clean: list[Trajectory], weight: float) -> None:
     """Rows of the gradient methods: draws in one batch, and one at a time."""
     shape, seeds = load_object("L2").shape, range(DRAWS)
-    draws = [[draw_sensing(t, preset("ft300s"), 100 * seed + i) for i, t in enumerate(trajectories)] for seed in seeds]
+    draws = [sensed(clean, seed) for seed in seeds]
     weights = [weight] * DRAWS
     for method in (ExplicitState(), DiffLcp()):
         functions = [
@@ -193,7 +197,8 @@ def main() -> None:
     table = open_table("what", "measured", "against", "ratio", "goal", left=("what",), box=box.SIMPLE_HEAD)
 
     time_trial(table)
-    trajectories, weight = six_turns()
+    clean, weight = six_turns()
+    trajectories = sensed(clean, 0)
     shape = load_object("L2").shape
     observed = observe(shape, trajectories)
     assert observed is not None
@@ -212,7 +217,7 @@ def main() -> None:
                       f"{took / exact:.0f}", "<= 0.5 s")  # fmt: skip
     took = seconds(lambda: settings.estimate(shape, weight, trajectories, 0))
     table.add_row("whole estimate, closed form", f"{took * 1e3:.0f} ms", "", "", "")
-    took_draw = seconds(lambda: [draw_sensing(t, preset("ft300s"), 0) for t in trajectories])
+    took_draw = seconds(lambda: sensed(clean, 0))
     table.add_row("a sensing draw of six trials", f"{took_draw * 1e3:.0f} ms", "", "", "")
 
     quick = settings.estimate(shape, weight, trajectories, 0).seconds
@@ -221,7 +226,7 @@ def main() -> None:
         label = f"{kind.__name__}, 500 iterations (each optimiser), against hidden_states"
         table.add_row(label, f"{took:.2f} s", f"{quick:.3f} s", f"{took / quick:.0f}", f"<= {goal} s")
 
-    time_batches(table, trajectories, weight)
+    time_batches(table, clean, weight)
     scaling = [(count, seconds(once)) for count, once in map(loss_and_gradient, (4, 13, 41, 129))]
     first = scaling[0]
     for count, took in scaling:

@@ -68,7 +68,11 @@ def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
 
 def within(rows: list[Row]) -> str:
     """Mean NAD in percent of answers to drawn objects, with its interval, bootstrapped over the objects."""
-    found = summarize(dict(enumerate(100 * row["nad"] for row in rows if row["nad"] is not None)))
+    known = {row["object"]: [] for row in rows if row["nad"] is not None}
+    for row in rows:
+        if row["nad"] is not None:
+            known[row["object"]].append(100 * row["nad"])
+    found = summarize({index: fmean(own) for index, own in enumerate(known.values())})
     return "" if found is None else f"{found.mean:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 

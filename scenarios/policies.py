@@ -173,7 +173,7 @@ class Policy(BaseModel):
     @field_validator("plan_for", mode="after")
     @classmethod
     def _known_sensor(cls, name: str) -> str:
-        preset(name)
+        preset(name, "")
         return name
 
     @model_validator(mode="after")

@@ -135,7 +135,7 @@ def _joined(table: str, field: str) -> str:
     """Name of a field in a file, from the table that was checked and the field that its class names."""
     path = [] if table == "file" else table.split(".")
     inner = field.split(".") if field else []
-    inner = inner[1:] if inner[1:] and inner[0][0].isupper() else inner  # Rotate.speed
+    inner = inner[1:] if inner[1:] and inner[0][:1].isupper() else inner  # Rotate.speed
     shared = next((k for k in range(len(inner), 0, -1) if path[-k:] == inner[:k]), 0)
     return ".".join([*path, *inner[shared:]])
 

@@ -13,7 +13,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import Grasp, ObjectModel, ObjectShape
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
-from testbed.validation import check_integer
+from testbed.validation import check_integer, is_number
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.seeds import seed_of
 
@@ -30,7 +30,7 @@ class Support:
     """Vertical stiffness between neighboring groups, N/m."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.stiffness, int | float) or not self.stiffness >= 0:
+        if not (is_number(self.stiffness) or self.stiffness == math.inf) or self.stiffness < 0:
             allowed = "a number >= 0, N/m; infinite is one rigid body: heft.parse_support takes names"
             raise InvalidValueError("Support.stiffness", self.stiffness, allowed)
 

@@ -116,11 +116,12 @@ def check_integer(name: str, value: object, least: int = 1, most: int = 1_000_00
     Raises:
         InvalidValueError: it is not.
     """
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or not least <= value <= most:
-        above = f" and <= {most}" if whole and value > most else ""
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        if least <= (number := int(value)) <= most:
+            return number
+        above = f" and <= {most}" if number > most else ""
         raise InvalidValueError(name, value, f"an integer >= {least}{above}")
-    return int(value)
+    raise InvalidValueError(name, value, f"an integer >= {least}")
 
 
 def is_number(value: object) -> TypeGuard[float]:

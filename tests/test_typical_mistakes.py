@@ -29,7 +29,7 @@ def built(**changes: Any) -> object:
 
 MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "a trial in place of trials": (
-        lambda: HEFT.HiddenStates().estimate(SHAPE, 1.8, TRIALS[0], 0), "trajectories: got .*a list of Trajectory"
+        lambda: HEFT.HiddenStates().estimate(SHAPE, 1.8, TRIALS[0], 0), "trajectories: got .*a list or tuple of"
     ),
     "an object in place of its shape": (
         lambda: HEFT.RandomSearch().estimate(OBJECT, 1.8, TRIALS, 0), "shape: got ObjectModel.*an ObjectShape"
@@ -61,7 +61,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "one mass for all": (lambda: built(mass=0.8), "mass: got 0.8; allowed: a list"),
     "an object's name to show": (lambda: HEFT.show("L2"), "heft.load_object"),
     "another object to show": (
-        lambda: HEFT.show(replace(TRIALS[0], action=HEFT.Rotate(9)), OBJECT, file="x.rrd"), "obj: got 'L2'"
+        lambda: HEFT.show(replace(TRIALS[0], action=HEFT.Rotate(9)), OBJECT, file="/nowhere/x.rrd"), "obj: got 'L2'"
     ),
     "a picture for a recording": (lambda: HEFT.show(OBJECT, file="x.png"), "FILE.rrd"),
     "misspelled fields of a scenario": (

@@ -176,11 +176,11 @@ def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int, secret: 
 
 
 def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str, secret: str) -> Trajectory:
-    """One draw of a sensor's errors on the `index`-th trial of an experiment, blinded; a measured one without a draw.
+    """One draw of a sensor's errors on the `index`-th trial of an experiment, blinded; of a perfect sensor's alone.
 
     All that a method or a policy is given comes through here.
     """
-    if not trajectory.simulated:
+    if not trajectory.is_clean:  # measured, or by a runner that draws errors of its own
         return trajectory.blinded()
     # each trial of each draw has a stream of its own, a repeated trial included
     return draw_sensing(trajectory, preset(sensing), seed_of(secret, seed, index, key)).blinded()

@@ -11,7 +11,7 @@ from rich.console import Console
 from estimators.registry import METHODS, check_installed, kind_of
 from scenarios.config import Scenario
 from scenarios.study.experiment import check_links, object_paths
-from testbed.errors import InvalidValueError
+from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 
 TRIAL_S = 0.7
@@ -132,9 +132,20 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
             package.
     """
     check_code(scenario, foreign=False)
-    for _, point in scenario.points():
+    points, left_out = scenario.points(), dict[str, None]()
+    models = {path: load_object(path) for _, point in points for path in object_paths(point).values()}
+    possible = bool(scenario.random)
+    for _, point in points:
         for path in object_paths(point).values():
-            check_links(point, load_object(path))
+            try:
+                check_links(point, models[path])
+                possible = True
+            except InfeasibleTrialError as error:
+                left_out[str(error)] = None
+    if not possible:
+        raise InfeasibleTrialError("\n".join(left_out))
+    for reason in left_out:
+        console.print(f"left out: {reason}")
     size = DryRun.of(scenario)
     swept = f" at {size.points} points of the sweep" if size.points > 1 else ""
     console.print(

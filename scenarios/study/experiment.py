@@ -225,7 +225,7 @@ def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, st
         InfeasibleTrialError: none of many draws can be handled.
     """
     any_shape = scenario.policy.takes_any_shape
-    drawn = {"family": family.model_dump(exclude={"count"}), "digits": len(str(family.count - 1))}
+    drawn = {"family": family.model_dump(exclude={"count"}, exclude_none=True), "digits": len(str(family.count - 1))}
     folder = key_of(drawn | ({"any_shape": True} if any_shape else {}))
     path = store.root / "objects" / folder / f"{family.names()[index]}.toml"
     if store.has_object(path):

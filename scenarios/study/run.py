@@ -139,6 +139,8 @@ def _asked_again(field: str, held: Any, asked: Any) -> bool:
         return held <= asked
     if field == "objects":  # the same files lie elsewhere in another checkout
         held, asked = ([Path(name).name for name in names] for names in (held, asked))
+    if field == "random":  # a field that is not given may be newer than the results
+        held, asked = ([{k: v for k, v in each.items() if v is not None} for each in them] for them in (held, asked))
     if field == "methods":
         return all(asked.get(label) == settings for label, settings in held.items())
     if field == "sweep":

@@ -66,8 +66,8 @@ class Lift(Action, kind="lift"):
         if not (is_number(self.tilt) and 0 <= self.tilt <= STEEPEST):
             raise InvalidValueError("Lift.tilt", self.tilt, f"an angle from 0 to {STEEPEST:.2f}, rad")
         check_positive_fields(self, "acceleration", "hold", "height")
-        check_integer("Lift.swings", self.swings, least=0, most=1000)
-        check_integer("Lift.poses", self.poses, least=2, most=100)
+        object.__setattr__(self, "swings", check_integer("Lift.swings", self.swings, least=0, most=1000))
+        object.__setattr__(self, "poses", check_integer("Lift.poses", self.poses, least=2, most=100))
 
     @classmethod
     def stop_and_go(cls, grasp: int, tilt: float = math.radians(20), poses: int = 4, hold: float = 2.0) -> Self:

@@ -39,7 +39,7 @@ def parse_layout(rows: list[str]) -> list[Cell]:
     Raises:
         InvalidValueError: an unknown character, no block, or blocks not joined edge to edge.
     """
-    if isinstance(rows, str) or not all(isinstance(row, str) for row in rows):
+    if not isinstance(rows, list | tuple) or not all(isinstance(row, str) for row in rows):
         raise InvalidValueError("layout", rows, 'a list of rows, such as ["10", "11"]')
     widest, blocks = max(map(len, rows), default=0), sum(row.count("1") for row in rows)
     if max(len(rows), widest) > MOST_ROWS or blocks > MOST_BLOCKS:
@@ -115,7 +115,7 @@ def block_object(
         InvalidValueError: cells that are not joined, grid < 1, lengths that do not match, or values out of range.
     """
     grid = check_integer("grid", grid, most=MOST_GRID)
-    if not all(isinstance(cell, Cell) for cell in cells) or not cells:
+    if not isinstance(cells, Sequence) or not cells or not all(isinstance(cell, Cell) for cell in cells):
         raise InvalidValueError("cells", cells, "one Cell(column, row) or more, as parse_layout gives them")
     _check_joined(cells, "cells")
     for field, length in (("size", size), ("height", height)):

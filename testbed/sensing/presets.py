@@ -122,10 +122,10 @@ _FACTORS = re.compile(
 )
 
 
-def preset(name: str) -> Sensing:
+def preset(name: str, field: str = "sensing") -> Sensing:
     """Sensing preset by name; "ft300s:bias=2:drift=0.5" draws twice the stated bias and half the stated drift.
 
-    "ft300s:camera=exact" has another camera.
+    "ft300s:camera=exact" has another camera. `field` is what to call the name in an error.
 
     Raises:
         InvalidValueError: no such preset.
@@ -133,10 +133,10 @@ def preset(name: str) -> Sensing:
     found = _FACTORS.fullmatch(name) if isinstance(name, str) else None
     if found is None or found["preset"] not in PRESETS:
         allowed = f"one of {', '.join(PRESETS)}; with another bias or drift than stated as ft300s:bias=2:drift=0.5"
-        raise InvalidValueError("sensing", name, allowed)
+        raise InvalidValueError(field, name, allowed)
     camera = found["camera"] or PRESETS[found["preset"]].camera.name
     if camera not in CAMERAS:
-        raise InvalidValueError("sensing", name, f"a camera of {', '.join(CAMERAS)}")
+        raise InvalidValueError(field, name, f"a camera of {', '.join(CAMERAS)}")
     stated, bias, drift = PRESETS[found["preset"]], found["bias"] or 1.0, found["drift"] or 1.0
     try:
         return replace(stated, name=name, camera=CAMERAS[camera], true_bias=float(bias), true_drift=float(drift))

@@ -332,7 +332,7 @@ def check_trials(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> None
     if not isinstance(shape, ObjectShape):
         raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
     if not isinstance(trajectories, Sequence) or not all(isinstance(each, Trajectory) for each in trajectories):
-        raise InvalidValueError("trajectories", trajectories, "a list of Trajectory objects")
+        raise InvalidValueError("trajectories", trajectories, "a list or tuple of Trajectory objects")
 
 
 def reduced_trials(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
+from rich.console import Console
 
 from estimators.action_selection.greedy import PlannedPolicy
 from scenarios.catalog import LIBRARY
@@ -15,8 +16,10 @@ from scenarios.config import Meshes, Scenario, load_scenario
 from scenarios.policies import AfterWeighing, Policy
 from scenarios.results.estimates import load_results
 from scenarios.results.store import Store
+from scenarios.study.dry_run import show_dry_run
 from scenarios.study.experiment import experiments_of
 from scenarios.study.meshes import with_meshes
+from scenarios.study.run import _asked_again
 from testbed import InfeasibleTrialError, Push
 from testbed.errors import HeftError
 from testbed.objects.files import load_object
@@ -181,6 +184,23 @@ def test_what_cannot_be_done_is_said_before_any_trial(tmp_path, objects, changes
     asked = scenario.model_copy(update={"random": [], "sweep": type(scenario.sweep)(), "objects": paths, **changes})
     with pytest.raises(InfeasibleTrialError, match=message):
         experiments_of(asked, Store(tmp_path), lambda stage, done, total, failed=0: None)
+
+
+def test_a_dry_run_names_what_is_left_out_and_fails_where_all_is(tmp_path, capsys):
+    _, blocks = load_scenario("blocks")
+    linked = str(LIBRARY / "objects/fold_2.toml")
+    console = Console(width=200)
+    show_dry_run(console, blocks.replaced(objects=["L2", linked]), tmp_path, 1)
+    assert "left out: fold_2: reversed_pairs is for one rigid body" in capsys.readouterr().out
+    with pytest.raises(InfeasibleTrialError, match="is for one rigid body"):
+        show_dry_run(console, blocks.replaced(objects=[linked]), tmp_path, 1)
+
+
+def test_results_of_drawn_objects_are_those_of_a_scenario_with_a_newer_field():
+    held = [{"name": "drawn", "count": 3, "seed": 1}]
+    asked = [held[0] | {"feet_m": None}]
+    assert _asked_again("random", held, asked)
+    assert not _asked_again("random", held, [asked[0] | {"feet_m": [[0.0, 0.0]]}])
 
 
 def test_pushes_stand_beside_turns_alone():

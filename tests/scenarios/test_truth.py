@@ -168,7 +168,6 @@ def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
             assert all(t.setup == world("lab").stated for t in parts.get("trajectories", []))
 
 
-@pytest.mark.slow
 def test_a_policy_is_told_what_the_scale_read(spied):
     _, given = spied
     told_ = next(parts for kind, parts in given if kind == "policy")

@@ -27,7 +27,7 @@ from testbed.sensing.presets import PRESETS
 from testbed.sensing.windows import steady_windows
 
 OWN_WEIGHT = [name for name in block_names() if name.endswith("own_weight")]
-FEW = ("L2-own_weight", "two_frictions-own_weight")
+FEW = ("L2-own_weight", "drawn_a-own_weight", "two_frictions-own_weight")
 """Of one kind each; CI recovers the others too."""
 
 

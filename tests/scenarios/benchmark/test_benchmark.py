@@ -78,7 +78,7 @@ def test_a_benchmark_is_made_resumed_and_scored(small, tmp_path, monkeypatch):
     monkeypatch.setattr("scenarios.study.trials.simulate", None)  # nothing is simulated again
     make(tmp_path / "set", ONE, None, 0, quiet)
     assert {path: path.read_bytes() for path in before} == before
-    with pytest.raises(InvalidValueError, match="--out"):
+    with pytest.raises(InvalidValueError, match=r"--out: "):
         make(tmp_path / "set", ONE, "another secret of the tests", 0, quiet)
 
 

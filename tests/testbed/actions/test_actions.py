@@ -81,7 +81,8 @@ def test_a_turn_is_about_its_grasp_unless_a_pivot_is_given():
 
 def test_an_index_of_numpy_is_an_integer():
     assert Rotate(np.argmax([0, 1])).to_dict()["grasp"] == 1  # pyright: ignore[reportArgumentType]
-    assert type(Rotate(np.int32(1)).grasp) is int  # pyright: ignore[reportArgumentType]
+    lift = Lift(np.int32(1), swings=np.int64(2), poses=np.int64(3))  # pyright: ignore[reportArgumentType]
+    assert {type(value) for value in (lift.grasp, lift.swings, lift.poses)} == {int}
 
 
 REFUSED: list[tuple[type[Action], dict[str, object], str]] = [

@@ -25,7 +25,7 @@ class World(SetupErrors):
     """Name of the preset."""
     flatness: float = parameter(source="contacts", unit="m", scope="object")
     """Height of each contact point [m]; that of known feet is in `foot_load`."""
-    start_offset: float = parameter(source="start", unit="m", shape=(2,), scope="trial", most=0.5)
+    start_offset: float = parameter(source="start", unit="m", shape=(2,), scope="trial", most=10.0)
     """Place where a trial begins along each axis of the table, which is known [m]."""
     start_angle: float = parameter(source="start", unit="rad", scope="trial", most=math.pi)
     """Yaw at which a trial begins, which is known [rad]."""

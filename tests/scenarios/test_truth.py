@@ -93,7 +93,8 @@ class Guesser:
         key = key_of(trial_request(Trial(model, seen.action), SETTINGS))
         text = "/".join(map(str, [self.secret, seed, index, key] if self.secret else [seed, index, key]))
         drawn_by = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-        silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench))
+        clean = {"runner": "simulation"}
+        silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench), provenance=clean)
         left = seen.sensor_wrench - draw_sensing(silent, preset("ft300s"), drawn_by).sensor_wrench
         return bool(np.ptp(left[seen.mask(Phase.TARE)], axis=0).max() < 1e-6)
 """

@@ -133,7 +133,7 @@ def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("import", "none.toml", "0.csv"), "none.toml: cannot be read as TOML"),
+        (("import", "none.toml", "0.csv"), "none.toml: cannot be read: No such file"),
         (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing file (.csv, "),
         (("import", "lab.toml", "--weight", "-1"), "--weight: got -1.0; allowed: "),
         (("import", "lab.toml", "--weight", "1800"), "--weight: got 1800.0; allowed: a number > 0 and < 100, kg"),

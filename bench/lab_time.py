@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import fmean
 
 from matplotlib.figure import Figure
-from tables import PADS, claimed, markdown, nad_of, seconds_of
+from tables import PADS, claimed, markdown, nad_of, objects_of, seconds_of
 
 from estimators.evaluation.statistics import AXIS, Row, methods_of, select, summarize
 from scenarios import load_results, load_scenario, run_scenario
@@ -68,11 +68,9 @@ def sets_of(folder: Path) -> list[tuple[str, list[Row]]]:
 
 def within(rows: list[Row]) -> str:
     """Mean NAD in percent of answers to drawn objects, with its interval, bootstrapped over the objects."""
-    known = {row["object"]: [] for row in rows if row["nad"] is not None}
-    for row in rows:
-        if row["nad"] is not None:
-            known[row["object"]].append(100 * row["nad"])
-    found = summarize({index: fmean(own) for index, own in enumerate(known.values())})
+    answered = [row for row in rows if row["nad"] is not None]
+    own = [fmean(100 * row["nad"] for row in select(answered, object=name)) for name in objects_of(answered)]
+    found = summarize(dict(enumerate(own)))
     return "" if found is None else f"{found.mean:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 

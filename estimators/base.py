@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from estimators.identifiability.report import Identifiability
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
-from testbed.objects.model import MassDistribution, ObjectShape
+from testbed.objects.model import MassDistribution, ObjectShape, check_shape
 from testbed.trajectory import Trajectory
 from testbed.validation import check_kilograms, frozen_array, is_number
 
@@ -221,8 +221,7 @@ def weighed(shape: ObjectShape, weight: float | None) -> float:
     Raises:
         InvalidValueError: no weight, or one that no object has; or a model of the object in place of its shape.
     """
-    if not isinstance(shape, ObjectShape):
-        raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
+    check_shape(shape)
     check_kilograms("weight", weight)
     assert weight is not None
     return weight

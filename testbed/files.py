@@ -146,12 +146,12 @@ def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
     Raises:
         OSError: no file, one that cannot be read, a pipe or a device, or a larger one.
     """
-    if Path(path).is_dir():
-        raise OSError(errno.EISDIR, "a folder, not a file", str(path))
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            raise OSError(errno.EINVAL, "not a plain file", str(path))
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "not a plain file", str(path))
+    with open(descriptor, "rb") as file:
         if found.st_size > most:
             size = f"{found.st_size / 2**20:.0f} MiB, more than the {most / 2**20:g} that are read"
             raise OSError(errno.EFBIG, size, str(path))

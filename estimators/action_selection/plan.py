@@ -33,11 +33,10 @@ class Goal:
     """Greatest number of trials."""
 
     def __post_init__(self) -> None:
-        for name in ("until", "budget_s"):
+        limits = (("until", 1.0, "a ratio above 0, up to 1"), ("budget_s", np.inf, "a finite number > 0"))
+        for name, most, allowed in limits:
             value = getattr(self, name)
-            most = 1.0 if name == "until" else np.inf
             if value is not None and not (is_number(value) and 0 < value <= most):
-                allowed = "a ratio above 0, up to 1" if name == "until" else "a finite number > 0"
                 raise InvalidValueError(f"Goal.{name}", value, f"{allowed}, or None")
         check_integer("Goal.most", self.most)
 

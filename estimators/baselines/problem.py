@@ -24,8 +24,7 @@ from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
-from testbed.objects.model import GRAVITY, ObjectShape
-from testbed.sensing.windows import check_trials
+from testbed.objects.model import GRAVITY, ObjectShape, check_shape
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
@@ -86,7 +85,7 @@ class Problem:
             InvalidValueError: `use_weight` without a weight.
         """
         known = weighed(shape, weight) if use_weight else None
-        check_trials(shape, trajectories)
+        check_shape(shape)
         if shape.chain is not None and not takes_links:
             return Estimate(None, "assumption_violated", ONE_PIECE)
         windows = observe(shape, trajectories, errors)

@@ -18,13 +18,13 @@ from estimators.wrench.air import columns
 from estimators.wrench.sensor import walk
 from testbed.objects.model import GRAVITY, ObjectShape
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
-from testbed.sensing.windows import reduced_trials
+from testbed.sensing.windows import check_trials, reduced_trials
 from testbed.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
 class LiftErrors:
-    """Errors of what is taken as known of a lifted object; one draw per trial, unless noted otherwise."""
+    """Standard deviations of the quantities that a lift takes as known, drawn once per trial unless noted otherwise."""
 
     grip: float = 5e-4
     """Place of the object between the pads, along x and along y, m."""
@@ -53,8 +53,9 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
     """Windows of every lift among some trajectories that ended well, by its place among them.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have.
+        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
     """
+    check_trials(shape, trajectories)
     return reduced_trials(shape, trajectories, lambda action: action.in_air, lift_windows)
 
 

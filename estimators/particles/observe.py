@@ -39,7 +39,7 @@ def observe(
     load of a nulled gripper counts here.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have.
+        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
     """
     check_trials(shape, trajectories)
     found = _observed(shape, tuple(trajectories), errors or ModelErrors())

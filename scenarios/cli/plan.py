@@ -76,12 +76,11 @@ def identify(
     from estimators.posterior.posterior import loose_groups
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
-    from testbed.trial import support_of
     from testbed.worlds.presets import world as world_of
     from viz.figures.maps import error_figure, save_figure
 
     console, model = open_console(), load_object(object_)
-    carrier = assumed_support or support_of(model.shape).name
+    carrier = carrier_of(model, assumed_support)
     actions = actions_of(model, carrier, pivots, accelerated, slides, lifts, pushes, duration, grasps)
     assumed = Assumptions(carrier, setup=world_of(world).stated, hinge_friction=model.hinge_friction or None)
     report = expected(model.shape, model.truth, actions, preset(sensing), assumed)
@@ -140,7 +139,6 @@ def actions_of(
     if lifts and support != "rigid":
         raise InvalidValueError("lifts", lifts, "0 unless the support is rigid: one block alone would come along")
     Range(1.5, 60, "s").check("duration", duration)
-    check_links(model, support)
     if shape.chain is not None:
         drags = random_drags(shape, allowed, 2 * max(pivots, slides), 0)  # every other one is a turn
         return [Weigh(), *drags[1::2][:pivots], *drags[::2][:slides]]
@@ -266,15 +264,13 @@ def plan(
     from testbed.objects.files import load_object
     from testbed.sensing.noise import read_scale
     from testbed.sensing.presets import preset
-    from testbed.trial import support_of
     from testbed.validation import check_kilograms
     from testbed.worlds.presets import world as world_of
 
     if weight is not None:
         check_kilograms("--weight", weight)
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
-    carrier, goal = search.assumed_support or support_of(model.shape).name, search.goal
-    check_links(model, carrier)
+    carrier, goal = carrier_of(model, search.assumed_support), search.goal
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated
     guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
     allowed = named_grasps(model, search.grasps)
@@ -295,14 +291,18 @@ def plan(
         sys.exit(1)
 
 
-def check_links(model: ObjectModel, support: str) -> None:
-    """Refuse another support than own weight for an object with hinges.
+def carrier_of(model: ObjectModel, assumed_support: str | None) -> str:
+    """Assumed support by name, by default that of the object.
 
     Raises:
-        InvalidValueError: one rigid body, or either.
+        InvalidValueError: another one than own weight for an object with hinges.
     """
+    from testbed.trial import support_of
+
+    support = assumed_support or support_of(model.shape).name
     if model.shape.chain is not None and support != "own_weight":
         raise InvalidValueError("support", support, "own_weight: links rest on their own weight")
+    return support
 
 
 def plan_view(model: ObjectModel, made: Plan, title: str) -> PlanView:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from estimators.registry import METHODS, check_installed, kind_of
 from scenarios.config import Scenario
-from scenarios.study.experiment import check_links, object_paths
+from scenarios.study.experiment import link_refusal, object_paths
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
 
@@ -132,17 +132,13 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
             package.
     """
     check_code(scenario, foreign=False)
-    points, left_out = scenario.points(), dict[str, None]()
-    models = {path: load_object(path) for _, point in points for path in object_paths(point).values()}
-    possible = bool(scenario.random)
-    for _, point in points:
-        for path in object_paths(point).values():
-            try:
-                check_links(point, models[path])
-                possible = True
-            except InfeasibleTrialError as error:
-                left_out[str(error)] = None
-    if not possible:
+    refusals = [
+        link_refusal(point, load_object(path))
+        for _, point in scenario.points()
+        for path in object_paths(point).values()
+    ]
+    left_out = dict.fromkeys(filter(None, refusals))
+    if left_out and all(refusals) and not scenario.random:
         raise InfeasibleTrialError("\n".join(left_out))
     for reason in left_out:
         console.print(f"left out: {reason}")

@@ -161,22 +161,19 @@ def experiments_of(
     return experiments, left_out
 
 
-def check_links(point: Scenario, model: ObjectModel) -> None:
-    """Refuse an object with hinges whose masses the actions of a scenario do not show.
-
-    Raises:
-        InfeasibleTrialError: pushes, a policy for one rigid body, or another support than own weight.
-    """
+def link_refusal(point: Scenario, model: ObjectModel) -> str:
+    """Reason why the actions of a scenario do not show the masses of an object with hinges; empty where they do."""
     if model.shape.chain is None:
-        return
+        return ""
     plans = f"a plan ({', '.join(PLANNED)})"
     if not point.policy.grips or point.policy.pushes:
-        raise InfeasibleTrialError(f'{model.name}: an object with hinges is not pushed; use kind = "drag" or {plans}')
+        return f'{model.name}: an object with hinges is not pushed; use kind = "drag" or {plans}'
     if point.policy.of_one_body:
         needed = f'use [policy] kind = "drag" or {plans}'
-        raise InfeasibleTrialError(f"{model.name}: {point.policy.kind} is for one rigid body, not for links; {needed}")
+        return f"{model.name}: {point.policy.kind} is for one rigid body, not for links; {needed}"
     if any(support != OWN_WEIGHT for support in point.supports()):
-        raise InfeasibleTrialError(f'{model.name}: links rest on their own weight; use support = ["own_weight"]')
+        return f'{model.name}: links rest on their own weight; use support = ["own_weight"]'
+    return ""
 
 
 def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Scenario, tuple[int, ...]]:
@@ -185,7 +182,8 @@ def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Sc
     Raises:
         InfeasibleTrialError: it cannot be turned, and is not to be pushed.
     """
-    check_links(point, model)
+    if refused := link_refusal(point, model):
+        raise InfeasibleTrialError(refused)
     if not point.policy.grips:
         return point, ()
     try:

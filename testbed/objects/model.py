@@ -239,6 +239,12 @@ class ObjectShape(ReadOnlyArrays):
         return (of_particles * self.fill) @ np.eye(self.n_m)[self.mass_group]
 
 
+def check_shape(shape: object) -> None:
+    """Raise InvalidValueError unless `shape` is an ObjectShape."""
+    if not isinstance(shape, ObjectShape):
+        raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
+
+
 @dataclass(frozen=True, eq=False)
 class MassDistribution(ReadOnlyArrays):
     """Mass and friction of every group: the truth, or an answer."""

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
-from testbed.objects.model import GRAVITY, ObjectShape
+from testbed.objects.model import GRAVITY, ObjectShape, check_shape
 from testbed.sensing.compensation import SIDEWAYS, tare_samples, tare_time, tool_pulls
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
@@ -329,8 +329,7 @@ def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D
 
 def check_trials(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> None:
     """Raise InvalidValueError unless these are a shape and trajectories of its trials."""
-    if not isinstance(shape, ObjectShape):
-        raise InvalidValueError("shape", shape, "an ObjectShape, such as `shape` of an object that is loaded")
+    check_shape(shape)
     if not isinstance(trajectories, Sequence) or not all(isinstance(each, Trajectory) for each in trajectories):
         raise InvalidValueError("trajectories", trajectories, "a list or tuple of Trajectory objects")
 
@@ -352,10 +351,9 @@ def reduced_trials(
         reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
+        InvalidValueError: a grasp that the shape does not have.
     """
     found = {}
-    check_trials(shape, trajectories)
     for index, trajectory in enumerate(trajectories):
         action = trajectory.action
         if not trajectory.ok or not kind(action):

@@ -14,11 +14,10 @@ from torch import Tensor
 
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
-from estimators.particles.wrench import AffineLoads
 from estimators.wrench.model import RIGID, Inertia, ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.wrench.support import LOADS
 from testbed.errors import InvalidValueError
-from testbed.frames import perpendicular, rotation_2d
+from testbed.frames import perpendicular
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.sensing.windows import steady_samples
 from testbed.trajectory import Trajectory
@@ -86,19 +85,21 @@ def open_loop(
     count = max((len(samples) for samples in at), default=1) - 1
     at = [np.pad(samples, (0, count + 1 - len(samples)), mode="edge") for samples in at]  # steps of no length
     dt = np.array([turn.dt * np.diff(samples) for turn, samples in zip(turns, at, strict=True)])
-    arms, hand = (model.particles - inertia.com).numpy(), np.array([(t.grasp - inertia.com).numpy() for t in turns])
+    feet, hand = _Feet.of(model, inertia), np.array([(turn.grasp - inertia.com).numpy() for turn in turns])
     mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
     wrench = np.array([t.wrench.numpy()[samples] for t, samples in zip(turns, at, strict=True)])
-    path, before = [pose], velocity
+    # In the object's axes, where the feet stay and a steady turn keeps its velocity
+    path, turn, velocity = [pose], 0.0 * pose[:, 2], _along(pose[:, 2], velocity)
+    before = velocity
     for k in range(count):
-        step, pushed, turn = dt[:, k, None], wrench[:, k], rotation_2d(pose[:, 2])
-        lever = np.einsum("wij,wj->wi", turn, hand)
-        torque = pushed[:, 2] + lever[:, 0] * pushed[:, 1] - lever[:, 1] * pushed[:, 0]
-        free = velocity + step * np.column_stack([pushed[:, :2], torque]) / mass
-        change, before = velocity - before, velocity
-        velocity = _after_friction(mass, free, velocity + change, arms @ turn.swapaxes(1, 2), step * friction.numpy())
-        path.append(pose := pose + step * velocity)
+        step, pushed = dt[:, k, None], _along(pose[:, 2], wrench[:, k])
+        pushed[:, 2] += hand[:, 0] * pushed[:, 1] - hand[:, 1] * pushed[:, 0]
+        free, guess, before = _along(turn, velocity) + step * pushed / mass, 2 * velocity - before, velocity
+        velocity = feet.velocity_after(mass, free, guess, step * friction.numpy())
+        moved = step * _along(-pose[:, 2], velocity)
+        pose, turn = pose + moved, moved[:, 2]
+        path.append(pose)
     reached = torch.tensor(np.array(path)).transpose(0, 1)
     near, end = (
         [
@@ -110,52 +111,73 @@ def open_loop(
     return near, end
 
 
-def _after_friction(
-    mass: Float[np.ndarray, "3"],
-    free: Float[np.ndarray, "W 3"],
-    start: Float[np.ndarray, "W 3"],
-    arms: Float[np.ndarray, "W P 2"],
-    bound: Float[np.ndarray, "W P"],
-) -> Float[np.ndarray, "W 3"]:
-    """Velocities after an implicit step with Coulomb friction: the minimum of each step's dissipation by Newton.
+def _along(yaw: Float[np.ndarray, "W"], vector: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "W 3"]:
+    """Planar twists or wrenches in axes turned by `yaw` [rad]."""
+    c, s, (x, y, about) = np.cos(yaw), np.sin(yaw), vector.T
+    return np.array([c * x + s * y, c * y - s * x, about]).T
 
-    The step is implicit since friction can stop an object within a step of the record. `mass` is (M, M, I_cm), `free`
-    the velocity without friction, `start` where the search starts, `arms` the particles from the center of mass [m],
-    world axes, and `bound` the greatest friction impulse of each [N s].
-    """
-    ahead, aside = perpendicular(arms).transpose(2, 0, 1)
-    parts = np.stack([np.ones_like(ahead), ahead, aside, ahead * ahead + aside * aside], -1)
 
-    def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        x, y = v[:, :1] + v[:, 2:] * ahead, v[:, 1:2] + v[:, 2:] * aside
-        speed = np.sqrt(x * x + y * y + CREEP**2)
-        off = v - free
-        return 0.5 * (off * off) @ mass + (bound * speed).sum(-1), x, y, speed
+@dataclass(frozen=True, eq=False)
+class _Feet:
+    """Jacobian of the velocities of P particles in the planar twist of the center of mass, object axes."""
 
-    v, open_ = start, np.ones((len(start), 1), dtype=bool)
-    least, x, y, speed = value(v)
-    for _ in range(NEWTON_STEPS):
-        pull = bound / speed
-        x, y = x / speed, y / speed
-        same = np.stack([x, y, x * ahead + y * aside], -1)  # (W, P, 3)
-        gradient = mass * (v - free) + (bound[:, None] @ same)[:, 0]
-        every, of_x, of_y, square = (pull[:, None] @ parts)[:, 0].T
-        none = np.zeros_like(every)
-        hessian = np.stack([every, none, of_x, none, every, of_y, of_x, of_y, square], -1).reshape(-1, 3, 3)
-        hessian += np.diag(mass) - (same * pull[..., None]).swapaxes(1, 2) @ same
-        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_
-        open_ = np.abs(step).max(1, keepdims=True) > CONVERGED
-        if not open_.any():
-            return v + step
-        now, x, y, speed = value(v + step)
-        for _ in range(HALVINGS):
-            worse = now > least * (1 + ROUNDING)
-            if not worse.any():
-                break
-            step = np.where(worse[:, None], step / 2, step)
+    jacobian: Float[np.ndarray, "2P 3"]
+    """Velocities along x, then along y."""
+    products: Float[np.ndarray, "3P 9"]
+    """Products of its rows by particle: x x, y y, and x y both ways."""
+
+    @staticmethod
+    def of(model: ParticleModel, inertia: Inertia) -> _Feet:
+        """Jacobian of all particles of an object."""
+        ahead, aside = perpendicular((model.particles - inertia.com).numpy()).T
+        one, none = np.ones_like(ahead), np.zeros_like(ahead)
+        x, y = np.stack([one, none, ahead], 1), np.stack([none, one, aside], 1)
+        xx, yy, xy = (a[:, :, None] * b[:, None] for a, b in ((x, x), (y, y), (x, y)))
+        return _Feet(np.concatenate([x, y]), np.concatenate([xx, yy, xy + xy.swapaxes(1, 2)]).reshape(-1, 9))
+
+    def velocity_after(
+        self,
+        mass: Float[np.ndarray, "3"],
+        free: Float[np.ndarray, "W 3"],
+        start: Float[np.ndarray, "W 3"],
+        bound: Float[np.ndarray, "W P"],
+    ) -> Float[np.ndarray, "W 3"]:
+        """Velocities after an implicit step with Coulomb friction: the minimum of each step's dissipation by Newton.
+
+        The step is implicit since friction can stop an object within a step of the record. `mass` is (M, M, I_cm),
+        `free` the velocity without friction, `start` where the search starts, and `bound` the greatest friction
+        impulse of each particle [N s].
+        """
+        count = bound.shape[1]
+
+        def value(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+            both = v @ self.jacobian.T
+            x, y = both[:, :count], both[:, count:]
+            speed = np.sqrt(x * x + y * y + CREEP**2)
+            off = v - free
+            return 0.5 * (off * off) @ mass + (bound * speed).sum(-1), x, y, speed
+
+        v, open_ = start, np.ones((len(start), 1), dtype=bool)
+        least, x, y, speed = value(v)
+        for _ in range(NEWTON_STEPS):
+            pull = bound / speed
+            drag_x, drag_y, square = pull * x, pull * y, speed * speed
+            gradient = mass * (v - free) + np.concatenate([drag_x, drag_y], 1) @ self.jacobian
+            across = pull - drag_x * x / square, pull - drag_y * y / square, -drag_x * y / square
+            hessian = np.diag(mass) + (np.concatenate(across, 1) @ self.products).reshape(-1, 3, 3)
+            step = -np.linalg.solve(hessian, gradient[..., None])[..., 0] * open_
+            open_ = np.abs(step).max(1, keepdims=True) > CONVERGED
+            if not open_.any():
+                return v + step
             now, x, y, speed = value(v + step)
-        v, least = v + step, now
-    return v
+            for _ in range(HALVINGS):
+                worse = now > least * (1 + ROUNDING)
+                if not worse.any():
+                    break
+                step = np.where(worse[:, None], step / 2, step)
+                now, x, y, speed = value(v + step)
+            v, least = v + step, now
+        return v
 
 
 def _mean_distance(model: ParticleModel, inertia: Inertia, a: Tensor, b: Tensor) -> float:
@@ -214,10 +236,10 @@ def mean_particle_distance(
     if windows is None or windows.articulated:
         return None
     model = ParticleModel.of(shape)
-    mass, friction = torch.tensor(estimate.mass), torch.tensor(estimate.friction)
-    inertia = inertia_of(model, model.particle_mass(mass))
-    loads = AffineLoads.of(shape, model, windows, LOADS[support])
-    pressed = model.particle_friction(friction) * loads.at(mass).clamp(min=0)
+    mass = model.particle_mass(torch.tensor(estimate.mass))
+    inertia = inertia_of(model, mass)
+    loads = LOADS[support](model, mass, windows.gripper_load(model, mass, shape.height))
+    pressed = model.particle_friction(torch.tensor(estimate.friction)) * loads.clamp(min=0)
     moved: list[tuple[SteadyTurn, int]] = []
     for trial, trajectory in enumerate(usable):
         mine = torch.nonzero(windows.trial == trial).flatten()

@@ -219,8 +219,8 @@ def masses_of(
 def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
     """The trials without the drag of the gripper's load, by masses and frictions of the round before."""
     windows, model = trials.windows, trials.model
-    mass, table = model.particle_mass(torch.tensor(guess.mass)), windows.table(model)
-    load = windows.gripper_load(table.lever, table.motion(mass), trials.shape.height)
+    mass = model.particle_mass(torch.tensor(guess.mass))
+    load = windows.gripper_load(model, mass, trials.shape.height)
     support = own_weight(model, mass, load)
     of_load = model.particle_friction(torch.tensor(guess.friction)) * (support.lean + support.change(load))
     drag = (windows.drag_rows(model, trials.errors.pivot_error) @ of_load[..., None])[..., 0]

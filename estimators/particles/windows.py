@@ -241,18 +241,19 @@ class Observations(Motion):
         """Torque I_j alpha about the grasp point, N m."""
         return self.acceleration[:, 2] * inertia.about(self.grasp)
 
-    def gripper_load(self, lever: Float[Tensor, "K P 2"], motion: Float[Tensor, "K 3+H"], height: float) -> GripperLoad:
+    def gripper_load(self, model: ParticleModel, mass: Float[Tensor, "P"], height: float) -> GripperLoad:
         """Load of the gripper.
 
         Args:
-            lever: mean place of each particle from the grasp point, m.
-            motion: wrench that the motion takes, at half the object's height over the feet, N and N m.
+            model: particles of the object.
+            mass: mass of each particle, kg: its motion takes a wrench at half the object's height over the feet.
             height: height of the object, m.
         """
-        moved = height / 2 * motion[:, :2]
+        table = self.table(model)
+        moved = height / 2 * table.motion(mass)[:, :2]
         # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
         taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)
         balanced = self.articulated and bool(self.setup.contact_points)
-        return GripperLoad(self.lift, self.tilt - taken, self.held, lever, balanced)
+        return GripperLoad(self.lift, self.tilt - taken, self.held, table.lever, balanced)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.func import vmap
 
 from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
@@ -35,17 +36,13 @@ class AffineLoads:
     ) -> AffineLoads:
         """Loads of a support model, probed with one particle mass of 2 kg among ones."""
 
-        table = windows.table(model)
-
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
-            return loads_of(
-                model, particle_mass, windows.gripper_load(table.lever, table.motion(particle_mass), shape.height)
-            )
+            return loads_of(model, particle_mass, windows.gripper_load(model, particle_mass, shape.height))
 
         ones = torch.ones(shape.n_m, dtype=torch.float64)
         base = loads(ones)
-        per_mass = torch.stack([loads(ones + one) - base for one in torch.diag(ones)], -1)
+        per_mass = vmap(loads, out_dims=-1)(ones + torch.diag(ones)) - base[..., None]
         return AffineLoads(per_mass, base - per_mass.sum(-1))
 
     def where(self, keep: Tensor) -> AffineLoads:

@@ -202,8 +202,7 @@ def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
     masses = guesses(obj, 6)[0]
     for mass, found in zip(masses, loads.at(masses), strict=True):
         particle = model.particle_mass(mass)
-        table = windows.table(model)
-        pressed = windows.gripper_load(table.lever, table.motion(particle), obj.shape.height)
+        pressed = windows.gripper_load(model, particle, obj.shape.height)
         feet = own_weight(model, particle, pressed)
         assert_allclose(found, feet.loads(pressed), atol=1e-11)
 

@@ -36,7 +36,8 @@ from estimators.wrench.model import EXACT, ModelErrors
 from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
-from scenarios.results.store import Store, rows_of
+from scenarios.results.store import Store
+from scenarios.results.table import rows_of
 from scenarios.results.trials import sensed_trials
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel

@@ -21,7 +21,7 @@ from estimators.evaluation.statistics import AXIS, Row, methods_of, select, summ
 from scenarios import load_results, load_scenario, run_scenario
 from scenarios.cli.run import show_progress
 from scenarios.config import Scenario
-from scenarios.results.store import rows_of
+from scenarios.results.table import rows_of
 from testbed.objects.files import ObjectFile
 from testbed.toml import load_toml
 

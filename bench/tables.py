@@ -29,7 +29,7 @@ from rich.console import Console
 from estimators.evaluation.statistics import Claims, draws_of, methods_of, select
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_manifest
-from scenarios.results.store import rows_of
+from scenarios.results.table import rows_of
 from viz.report.tables import NAD, metric_table
 from viz.report.terminal import rich_table
 

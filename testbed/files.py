@@ -109,22 +109,32 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove from one folder what writers that were killed have left, and nothing else."""
-    for part in folder.glob(".*.part"):
-        if not _PART.fullmatch(part.name):
-            continue
-        try:
-            found = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        except OSError:  # a link, or gone
-            continue
-        try:
-            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            part.unlink(missing_ok=True)
-        except OSError:  # somebody is writing it, or there is no telling
-            pass
-        finally:
-            os.close(found)
+def remove_leftovers(folder: Path, depth: int = 0) -> None:
+    """Remove from a folder, and those in it to a depth, what writers that were killed have left, and nothing else."""
+    try:
+        with os.scandir(folder) as entries:
+            found = list(entries)
+    except OSError:  # it is not there, or not ours
+        return
+    for entry in found:
+        if depth and entry.is_dir(follow_symlinks=False):
+            remove_leftovers(Path(entry.path), depth - 1)
+        elif _PART.fullmatch(entry.name):
+            _remove_unless_held(entry.path)
+
+
+def _remove_unless_held(part: str) -> None:
+    try:
+        found = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:  # a link, or gone
+        return
+    try:
+        fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        Path(part).unlink(missing_ok=True)
+    except OSError:  # somebody is writing it, or there is no telling
+        pass
+    finally:
+        os.close(found)
 
 
 def write_sealed(path: Path, write: Callable[[Path], Any]) -> None:

@@ -235,7 +235,8 @@ def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Excepti
 
 
 def _imported(name: str, path: str, field: str) -> Any:
-    importlib.invalidate_caches()
+    if name not in sys.modules:
+        importlib.invalidate_caches()
     try:
         with redirect_stdout(sys.stderr):  # what it prints is no table of heft's
             return importlib.import_module(name)

@@ -93,7 +93,7 @@ def run(
     from scenarios.config import load_scenario
     from scenarios.execution.executor import default_workers
     from scenarios.results.files import read_manifest, tally, write_json
-    from scenarios.results.store import rows_of
+    from scenarios.results.table import rows_of
     from scenarios.study.dry_run import show_dry_run
     from scenarios.study.run import carry_out, check_nothing_lost
     from scenarios.views.finished import write_views

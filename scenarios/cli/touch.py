@@ -62,6 +62,7 @@ def touch(
     from scenarios.config import Scenario
     from scenarios.results.files import exclusive, write_json
     from scenarios.results.store import Store
+    from scenarios.results.table import write_rows
     from scenarios.study.active import ActiveRun
     from scenarios.study.run import manifest
     from scenarios.views.pages import record_all, record_results
@@ -105,7 +106,7 @@ def touch(
         )
         result = run.carry_out(say_trial, lambda weight: print(f"weighed: {weight:.3f} kg", flush=True))
         write_json(folder / "manifest.json", facts | {"wall_s": round(time.monotonic() - begin, 1)})
-        store.put_table([result.row])
+        write_rows(folder, [result.row])
         for line in _conclusion(model, result, goal):
             print(line)
         if record:

@@ -47,7 +47,8 @@ from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
 from scenarios.results.files import STAGES, check_unambiguous, inside, read_json, stored
-from scenarios.results.store import Store, rows_of
+from scenarios.results.store import Store
+from scenarios.results.table import rows_of
 from testbed.errors import HeftError, InvalidValueError, short
 from testbed.files import MOST_BYTES, DamagedFileError, load_sealed, read_table, unless_damaged
 from testbed.objects.model import MassDistribution

@@ -52,7 +52,8 @@ def inside(root: Path, *names: str) -> Path:
     """
     path = root.joinpath(*names)
     plain = all(name not in ("", ".", "..") and not {"/", "\0"} & {*name} for name in names)
-    if not (plain and path.parent.resolve().is_relative_to(root.resolve())):
+    linked = plain and any(os.path.islink(root.joinpath(*names[:end])) for end in range(1, len(names)))
+    if not plain or (linked and not path.parent.resolve().is_relative_to(root.resolve())):
         raise HeftError(f"{root}: {'/'.join(names)!r} leads out of the folder")
     return path
 

@@ -24,12 +24,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, read_manifest, write_json
+from scenarios.results.table import unchanged
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_text
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
@@ -47,7 +45,22 @@ _TRIAL_FILES = ("trial.json", "trajectory.parquet", "foot_forces.parquet")
 
 def key_of(request: dict[str, Any]) -> str:
     """Content key: a hash of canonical JSON."""
-    return hashlib.sha256(json.dumps(request, sort_keys=True, separators=(",", ":")).encode()).hexdigest()[:20]
+    return _digest(_canonical(request))
+
+
+def keys_of_seeds(request: dict[str, Any], seeds: Iterable[int]) -> list[str]:
+    """Content keys of a request with each seed, as `key_of` of each: its text is written once."""
+    mark = "\0seed\0"
+    begin, end = _canonical(request | {"seed": mark}).split(json.dumps(mark))
+    return [_digest(f"{begin}{seed}{end}") for seed in seeds]
+
+
+def _canonical(request: dict[str, Any]) -> str:
+    return json.dumps(request, sort_keys=True, separators=(",", ":"))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
@@ -131,12 +144,17 @@ class Store:
         """True if a trial is done."""
         return inside(self.root, "trials", key, "trial.json").is_file()
 
-    def has_sound_trial(self, key: str) -> bool:
-        """True if a trial is done, and its files are as they were written; a damaged one is not done any more."""
+    def has_sound_trial(self, key: str, since_ns: int = 0) -> bool:
+        """True if a trial is done, and its files are as they were written; a damaged one is not done any more.
+
+        Files are not read that were last changed before `since_ns`, a time at which they were sound.
+        """
         if not self.has_trial(key):
             return False
         folder = inside(self.root, "trials", key, "trial.json").parent
         files = [path for name in _TRIAL_FILES if (path := folder / name).exists() or name == "trajectory.parquet"]
+        if unchanged(since_ns, *files):
+            return True
         if unless_damaged(lambda: [load_sealed(path, "file", len) for path in files], "made again") is None:
             (folder / "trial.json").unlink(missing_ok=True)
             return False
@@ -219,35 +237,10 @@ class Store:
 
     def remove_leftovers(self) -> None:
         """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""
-        folders = [self.root / name for name in _FOLDERS if not (self.root / name).is_symlink()]
-        inner = [folder for kind in folders for folder in kind.glob("*/") if not folder.is_symlink()]
-        for folder in (self.root, *folders, *inner):
-            remove_leftovers(folder)
-
-    def put_table(self, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
-        """Write results.parquet, derived from the rows."""
-        frame = pd.DataFrame(list(rows))
-        frame = pd.DataFrame({name: _of_one_kind(list(column)) for name, column in frame.items()})
-        table = pa.Table.from_pandas(frame)
-        table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"checksum": UNSEALED.encode()})
-        write_sealed(self.root / "results.parquet", lambda part: pq.write_table(table, part, compression="zstd"))
-        return frame
-
-
-def _of_one_kind(column: list[Any]) -> list[Any]:
-    """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
-    kept = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in column]
-    kinds = [str if isinstance(v, str) else float for v in kept if isinstance(v, (str, int, float)) and not _missing(v)]
-    return [v if _missing(v) else str(v) for v in kept] if len(set(kinds)) > 1 else column
-
-
-def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a results table; what is missing is None."""
-    return [{str(k): None if _missing(v) else v for k, v in row.items()} for row in frame.to_dict("records")]
-
-
-def _missing(value: Any) -> bool:
-    return value is None or (isinstance(value, float) and np.isnan(value))
+        remove_leftovers(self.root)
+        for folder in (self.root / name for name in _FOLDERS):
+            if not folder.is_symlink():
+                remove_leftovers(folder, depth=1)
 
 
 def write_arrays(path: Path, arrays: dict[str, Any]) -> None:

@@ -125,4 +125,4 @@ class ActiveRun:
         estimate([(task, self.seed, key)], self.store)
         row = self.store.result(key)
         assert row is not None
-        return row | task.labels() | {"key": key}
+        return row | task.labels | {"key": key}

@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ from estimators.registry import METHODS, build_method, code_of, estimates_many, 
 from estimators.wrench.support import LOADS
 from scenarios.execution.executor import Executor, Failure
 from scenarios.results.files import tally
-from scenarios.results.store import Store, key_of, object_request
+from scenarios.results.store import Store, key_of, keys_of_seeds, object_request
+from scenarios.results.table import ResultTable
 from scenarios.results.trials import sensed_trials
 from scenarios.study.experiment import Experiment, InfeasibleExperiment, Progress, ResultCallback
 from testbed.errors import InvalidValueError
@@ -45,6 +46,8 @@ class EstimateRun:
 
     experiments: Sequence[Experiment]
     store: Store
+    table: ResultTable
+    """Receives a row per draw that is done."""
     executor: Executor
     progress: Progress
     on_result: ResultCallback | None = None
@@ -59,7 +62,6 @@ class EstimateRun:
     _objects: dict[Experiment, str] = field(init=False)
     _left: Counter[str] = field(init=False)
     """Experiments of each object that are still to come."""
-    _rows: dict[tuple[int, ...], dict[str, Any]] = field(default_factory=dict)
     _index: dict[Experiment, int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -68,11 +70,6 @@ class EstimateRun:
         self._left = Counter(self._objects.values())
         self.total = sum(len(task.seeds) for each in self.experiments for _, task in self._tasks(each))
 
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """A row per draw that is done, in the scenario's order."""
-        return [self._rows[place] for place in sorted(self._rows)]
-
     def add(self, experiment: Experiment) -> None:
         """Take an experiment whose trials are there, or that has failed."""
         of_object = self._objects[experiment]
@@ -80,6 +77,9 @@ class EstimateRun:
         for place, task in self._tasks(experiment):
             for seed, key in zip(task.seeds, task.result_keys(self.store.draws), strict=True):
                 draw = ((*place, seed), task, key)
+                if not task.failure and self.table.recall(draw[0], task.labels, key):
+                    self._show()
+                    continue
                 row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key)
                 if row is not None:
                     self._put(draw, row)
@@ -128,9 +128,12 @@ class EstimateRun:
 
     def _put(self, draw: _Draw, row: dict[str, Any]) -> None:
         place, task, key = draw
-        self._rows[place] = row | task.labels() | {"key": key}
+        self.table.add(place, task.labels, row | {"key": key})
         self.failed += row.get("status") == "failed"
-        self.progress("estimates", len(self._rows), self.total, self.failed)
+        self._show()
+
+    def _show(self) -> None:
+        self.progress("estimates", len(self.table), self.total, self.failed)
 
 
 NO_ANSWER = {
@@ -235,8 +238,9 @@ class EstimateTask:
             "reference": self.reference,
             "version": _version(),
         }
-        return [key_of(content | draws | code_of(self.method, self.settings) | {"seed": seed}) for seed in self.seeds]
+        return keys_of_seeds(content | draws | code_of(self.method, self.settings), self.seeds)
 
+    @cached_property
     def labels(self) -> dict[str, Any]:
         """Columns that place a row in the scenario."""
         return {
@@ -259,7 +263,7 @@ def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> No
         seeds = [seed for _, seed, _ in draws]
         answers = judged_answers(task.method, task.settings, truth.shape, weights, moved, seeds)
     for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
-        labels = task.labels() | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
+        labels = task.labels | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
         judged = judge(truth, answer, given, drawn[len(given) :], task.true_support)
         store.put_estimate(key, {"seed": seed} | labels | judged, answer, truth.shape)
 
@@ -335,11 +339,11 @@ def judged_answers(
     return [judged(each, shape, weight, given) for each, weight, given in zip(checked, weights, moved, strict=True)]
 
 
-def infeasible_row(experiment: InfeasibleExperiment) -> dict[str, Any]:
-    """Row of an experiment that the robot cannot do."""
-    labels = {"object": experiment.name, "support": experiment.support}
-    unset = {"sensing": "", "seed": 0, "method": "", "kind": "", "status": "infeasible", "message": experiment.reason}
-    return NO_ANSWER | NOT_RUN | labels | unset | axis_columns(experiment.axes)
+def infeasible_row(experiment: InfeasibleExperiment) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Labels and row of an experiment that the robot cannot do."""
+    labels = {"object": experiment.name, "support": experiment.support, "sensing": "", "method": "", "kind": ""}
+    row = NO_ANSWER | NOT_RUN | {"seed": 0, "status": "infeasible", "message": experiment.reason}
+    return labels | axis_columns(experiment.axes), row
 
 
 def _unusable(trials: Sequence[Trajectory]) -> str:

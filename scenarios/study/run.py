@@ -20,7 +20,8 @@ from scenarios.config import Grid, Scenario, Sweep, load_scenario
 from scenarios.execution.executor import Executor, default_workers, work_off
 from scenarios.execution.select import open_executor
 from scenarios.results.files import exclusive, read_manifest, write_json
-from scenarios.results.store import Store, key_of, object_request, rows_of
+from scenarios.results.store import Store, key_of, object_request
+from scenarios.results.table import ResultTable, rows_of
 from scenarios.results.trials import MeasuredTrials, measured_trials
 from scenarios.study.dry_run import DryRun, check_code
 from scenarios.study.estimates import EstimateRun, infeasible_row
@@ -88,12 +89,15 @@ def carry_out(
         experiments, left_out = experiments_of(scenario, store, progress)
         contents = {"contents": _contents(scenario)}
         write_json(out / "manifest.json", manifest(scenario, store.secret, DryRun.of(scenario)) | contents)
-        estimates = EstimateRun(experiments, store, tasks, progress, on_result)
-        trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result)
+        table = ResultTable(store.root)
+        estimates = EstimateRun(experiments, store, table, tasks, progress, on_result)
+        trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result, table.written_ns)
         work_off(tasks, estimates.start, trials.start)
-        table = store.put_table([*estimates.rows, *map(infeasible_row, left_out)])
+        for index, experiment in enumerate(left_out):
+            table.add((len(scenario.sensing), index), *infeasible_row(experiment))
+        frame = table.write()
         write_json(out / "manifest.json", manifest(scenario, store.secret) | contents)
-        yield table, tasks
+        yield frame, tasks
 
 
 def _secret_of(folder: Path) -> str:
@@ -222,11 +226,12 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
     store = Store(folder.absolute())
     with exclusive(folder), open_executor("local", workers, preload=(__name__,)) as tasks:
         store.remove_leftovers()
-        estimates = EstimateRun(experiments, store, tasks, progress)
+        table = ResultTable(store.root)
+        estimates = EstimateRun(experiments, store, table, tasks, progress)
         for experiment in experiments:
             estimates.add(experiment)
         work_off(tasks, estimates.start)
-        rows = rows_of(store.put_table(estimates.rows))
+        rows = rows_of(table.write())
         holds = scenario.model_dump(include={"objects", "support", "sensing", "methods"})
         facts = {
             "name": folder.resolve().name,

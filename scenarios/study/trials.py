@@ -39,6 +39,8 @@ class TrialRun:
     ended: Callable[[Experiment], None]
     """Called with each experiment whose trials are there, or that has failed."""
     on_result: ResultCallback | None = None
+    written_ns: int = 0
+    """Time of the last results: trials whose files have not changed since are sound, ns since the epoch."""
     done: int = 0
     """Trials done."""
     failed: int = 0
@@ -68,7 +70,7 @@ class TrialRun:
         return True
 
     def _begin(self, experiment: Experiment) -> None:
-        if _recalled(experiment, self.store):
+        if _recalled(experiment, self.store, self.written_ns):
             self.done += len(experiment.keys) + len(experiment.held_out_keys)
             self._end(experiment)
         else:
@@ -164,10 +166,10 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
     return True
 
 
-def _recalled(experiment: Experiment, store: Store) -> bool:
+def _recalled(experiment: Experiment, store: Store, since_ns: int) -> bool:
     """Take all trials of an experiment from an earlier run; False where some are missing."""
     note = store.note(_key_of(experiment, store))
-    if note is None or not all([store.has_sound_trial(key) for key in note["keys"] + note["held_out"]]):
+    if note is None or not all([store.has_sound_trial(key, since_ns) for key in note["keys"] + note["held_out"]]):
         return False
     experiment.keys, experiment.held_out_keys = note["keys"], note["held_out"]
     return True

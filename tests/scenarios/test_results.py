@@ -16,7 +16,8 @@ from scenarios.cli.run import status
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.files import read_json, write_json
-from scenarios.results.store import Store, rows_of, write_arrays
+from scenarios.results.store import Store, write_arrays
+from scenarios.results.table import rows_of, write_rows
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.run import run_scenario
@@ -213,7 +214,7 @@ def test_the_truth_predicts_with_its_own_support(support, rigid, first, predicte
     ("harm", "said"),
     [
         (lambda table, rows: table.write_bytes(table.read_bytes()[:5000]), "not a whole table"),
-        (lambda table, rows: Store(table.parent).put_table([*rows.drop(columns="nad").to_dict("records")]), "no nad"),
+        (lambda table, rows: write_rows(table.parent, rows.drop(columns="nad").to_dict("records")), "no nad"),
     ],
 )
 @pytest.mark.parametrize("command", ["view --figures", "view --web", "view --record", "view --report", "export"])
@@ -234,7 +235,7 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
         for path in [path for path in copied.glob(f"{kind}/*") if path.name[0] != "0"]:
             path.rename(path.with_name("0" + path.name[1:]))
     rows = load_results(copied)
-    Store(copied).put_table(row | {"key": "0" + row["key"][1:]} for row in rows_of(rows))
+    write_rows(copied, [row | {"key": "0" + row["key"][1:]} for row in rows_of(rows)])
     with pytest.raises(SystemExit, match="2"):
         main(["view", str(copied), "0", option])
     assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", capsys.readouterr().err)

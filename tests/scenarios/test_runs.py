@@ -20,7 +20,8 @@ from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json, write_json
-from scenarios.results.store import Store, rows_of
+from scenarios.results.store import Store
+from scenarios.results.table import rows_of
 from scenarios.study import run as study
 from scenarios.study import trials
 from scenarios.study.experiment import experiments_of

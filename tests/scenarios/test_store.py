@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,14 +20,15 @@ from estimators.identifiability.report import identifiability
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_rows
 from scenarios.results.files import read_json, read_manifest, write_json
-from scenarios.results.store import Store, key_of, object_request, trial_request
+from scenarios.results.store import Store, key_of, keys_of_seeds, object_request, trial_request
+from scenarios.results.table import ResultTable, rows_of, write_rows
 from scenarios.results.trials import keys_of, measured_records, read_trial
 from scenarios.views import finished as finished_views
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
-from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file, write_whole
+from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file, write_text, write_whole
 from testbed.objects.files import load_object
 from testbed.objects.model import STROKE
 from testbed.objects.random import Family
@@ -62,11 +64,43 @@ def test_a_key_depends_on_content_alone():
     assert key_of({"a": 1, "b": [1, 2]}) == key_of({"b": [1, 2], "a": 1}) != key_of({"a": 1})
 
 
+def test_keys_of_many_seeds_are_those_of_each():
+    request = {"b": [1, 2], "z": {"seed": 1}, "a": "x"}
+    assert keys_of_seeds(request, [0, 7, 12]) == [key_of(request | {"seed": seed}) for seed in (0, 7, 12)]
+
+
 def test_a_swept_setting_of_words_and_numbers_is_kept_in_words(tmp_path):
-    rows = [{"axis.support": value} for value in (["own_weight"], [10], [1000.0], ["rigid"], None)]
-    kept = Store(tmp_path).put_table(rows)["axis.support"]
+    rows = [{"axis.support": value, "nad": 0.1} for value in (["own_weight"], [10], [1000.0], ["rigid"], None)]
+    kept = write_rows(tmp_path, rows)["axis.support"]
     assert list(pd.read_parquet(tmp_path / "results.parquet")["axis.support"].dropna()) == list(kept.dropna())
     assert list(kept)[:4] == ["own_weight", "10", "1000.0", "rigid"]
+
+
+def test_a_row_of_the_last_table_is_taken_where_no_file_of_its_estimate_has_changed(tmp_path):
+    files = [tmp_path / "estimates" / "a" / name for name in ("result.json", "estimate.npz")]
+    for file in files:
+        write_text(file, "sound")
+    time.sleep(0.02)  # a file system's clock ticks every few milliseconds
+    rows = [{"object": "old", "key": key, "status": status, "nad": 0.25, "trials": 3, "more": None}
+            for key, status in (("a", "ok"), ("b", "failed"))]  # fmt: skip
+    write_rows(tmp_path, rows)
+    table, labels = ResultTable(tmp_path), {"object": "new"}
+    assert table.recall((1,), labels, "a")
+    assert not table.recall((0,), labels, "b") and not table.recall((0,), labels, "c")
+    table.add((0,), labels, rows[1] | {"status": "ok", "nad": None, "more": "words"})
+    frame = table.write()
+    assert rows_of(frame) == rows_of(load_results(tmp_path)) == [
+        {"object": "new", "key": "b", "status": "ok", "nad": None, "trials": 3, "more": "words"},
+        {"object": "new", "key": "a", "status": "ok", "nad": 0.25, "trials": 3, "more": None},
+    ]  # fmt: skip
+    assert frame["trials"].dtype == int
+    for change in (files[0].touch, files[1].unlink):
+        time.sleep(0.02)
+        table.write()
+        assert ResultTable(tmp_path).recall((0,), labels, "a")
+        change()
+        assert not ResultTable(tmp_path).recall((0,), labels, "a")
+        files[0].touch()
 
 
 def same(a: object, b: object) -> None:

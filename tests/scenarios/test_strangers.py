@@ -10,7 +10,8 @@ from estimators.registry import ESTIMATOR
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results
 from scenarios.results.files import LOCK, exclusive, inside, is_held, read_manifest, write_json
-from scenarios.results.store import Store, rows_of
+from scenarios.results.store import Store
+from scenarios.results.table import rows_of, write_rows
 from testbed.errors import HeftError
 from testbed.files import write_whole
 from testbed.plugins import load_class
@@ -39,7 +40,7 @@ def here(copied, tmp_path, monkeypatch) -> Path:
     manifest["name"] = str(tmp_path / "s.toml")
     manifest["scenario"]["methods"] = {name: {"method": "stranger:Mine"} for name in manifest["scenario"]["methods"]}
     write_json(copied / "manifest.json", manifest)
-    Store(copied).put_table(row | {"kind": "stranger:Mine"} for row in rows_of(load_results(copied)))
+    write_rows(copied, [row | {"kind": "stranger:Mine"} for row in rows_of(load_results(copied))])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
     monkeypatch.delitem(sys.modules, "stranger", raising=False)
@@ -125,6 +126,6 @@ def test_nothing_is_written_through_a_linked_folder_or_a_name_in_the_table(copie
             main([str(tmp_path / word) if word == "out" else word for word in command.split()])
         assert "leads out of the folder" in capsys.readouterr().err
     (copied / "exports").unlink()
-    Store(copied).put_table(rows)
+    write_rows(copied, rows)
     main(["export", str(copied), key])
     assert [*aside.iterdir()] == [] and len([*(copied / "exports").iterdir()]) == 2

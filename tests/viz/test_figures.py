@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.base import Trace
 from scenarios.results.estimates import load_results
-from scenarios.results.store import rows_of
+from scenarios.results.table import rows_of
 from scenarios.views.figures import figures, file_name
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from estimators.evaluation import paper
 from scenarios.results.files import write_json
-from scenarios.results.store import Store, write_arrays
+from scenarios.results.store import write_arrays
+from scenarios.results.table import write_rows
 from scenarios.views.report import report
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
@@ -55,7 +56,7 @@ def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: obj
 def write(folder: Path, rows: list[dict]) -> Path:
     """A results folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    Store(folder).put_table(rows)
+    write_rows(folder, rows)
     scenario = {"objects": ["L2"], "seeds": 2, "methods": {"random_search": {"iterations": 7}}, "grid": {"feet": 3}}
     manifest = {"scenario": scenario, "python": "3.11.0", "packages": {"heft": "9.8.7"}}
     write_json(folder / "manifest.json", manifest)

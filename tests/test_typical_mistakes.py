@@ -9,6 +9,7 @@ import pytest
 
 import heft
 from estimators.action_selection.design import Guess
+from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.plan import Goal
 from estimators.posterior.estimator import posterior_of
 from estimators.testing.recorded import load_block
@@ -17,6 +18,7 @@ from testbed.objects.blocks import Cell, block_object, parse_layout
 
 HEFT: Any = heft
 BLOCK = load_block("L2-own_weight")
+GUESS = Guess(1.8, HEFT.preset("ft300s"))
 OBJECT, SHAPE, TRIALS = BLOCK.model, BLOCK.model.shape, BLOCK.trials("ft300s")
 
 
@@ -52,6 +54,16 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "grams": (lambda: Guess(1800.0, HEFT.preset("ft300s")), "Guess.weight: got 1800"),
     "a sensor's name for a plan": (lambda: Guess(1.8, "ft300s"), "Guess.sensing: got 'ft300s'"),  # type: ignore[arg-type]
     "a target in percent": (lambda: Goal(until=5), "Goal.until: got 5; allowed: a ratio"),
+    "a list of grasps for a plan": (
+        lambda: PlannedPolicy(GUESS, grasps=[0, 1]), r"PlannedPolicy.grasps: got \[0, 1\]; allowed: a tuple"  # type: ignore[arg-type]
+    ),
+    "a runner to check a plan": (
+        lambda: PlannedPolicy(GUESS, feasible=HEFT.SimulationRunner()), "feasible: .*a function of an action"
+    ),
+    "times in milliseconds": (
+        lambda: HEFT.HiddenStates().estimate(SHAPE, 1.8, [replace(t, time_s=1000 * t.time_s) for t in TRIALS], 0),
+        r"trajectories\[0\].time_s: got 'a sample every 10 s'; allowed: at most 0.1 s between samples",
+    ),
     "a layout in a line": (lambda: parse_layout("11"), "layout: got '11'; allowed: a list of rows"),  # type: ignore[arg-type]
     "a block twice": (lambda: built(cells=[Cell(0, 0)] * 2 + [Cell(1, 0)]), "cells: .*each place once"),
     "a block apart": (lambda: built(cells=[Cell(0, 0), Cell(5, 5), Cell(1, 0)]), "joined edge to edge"),

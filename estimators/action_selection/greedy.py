@@ -73,6 +73,13 @@ class PlannedPolicy:
         if self.kind not in get_args(Kind):
             raise InvalidValueError("PlannedPolicy.kind", self.kind, f"one of {', '.join(get_args(Kind))}")
         check_integer("PlannedPolicy.candidates", self.candidates)
+        if not isinstance(self.grasps, tuple | None):
+            raise InvalidValueError("PlannedPolicy.grasps", self.grasps, "a tuple of indices, or None for all")
+        for grasp in self.grasps or ():
+            check_integer("PlannedPolicy.grasps", grasp, 0)
+        if not callable(self.feasible):
+            allowed = "a function of an action: empty where it can be done, otherwise why not"
+            raise InvalidValueError("PlannedPolicy.feasible", self.feasible, allowed)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """First action of the plan that was not tried; where trials failed, of a plan without them.

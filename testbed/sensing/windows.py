@@ -32,6 +32,8 @@ TRIM_END = 0.05
 """Time left out at the end of a window [s]."""
 BATCH = 0.2
 """Time whose mean is one sample of the noise [s]: above its correlation time, below that of the load."""
+LONGEST_STEP = 0.1
+"""Longest time between samples [s]: several make a sample of the noise's mean, and a part of a window."""
 PARTS = 10
 """Parts of a window with their own mean motion; each needs a sample."""
 LEAST_BATCHES = 8
@@ -328,10 +330,18 @@ def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D
 
 
 def check_trials(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> None:
-    """Raise InvalidValueError unless these are a shape and trajectories of its trials."""
+    """Raise InvalidValueError unless these are a shape and trajectories of its trials, sampled often enough."""
     check_shape(shape)
     if not isinstance(trajectories, Sequence) or not all(isinstance(each, Trajectory) for each in trajectories):
         raise InvalidValueError("trajectories", trajectories, "a list or tuple of Trajectory objects")
+    for index, each in enumerate(trajectories):
+        if (
+            each.action.moves
+            and len(each.time_s) > 1
+            and (step := float(np.median(np.diff(each.time_s)))) > LONGEST_STEP
+        ):
+            allowed = f"at most {LONGEST_STEP:g} s between samples, in seconds"
+            raise InvalidValueError(f"trajectories[{index}].time_s", f"a sample every {step:g} s", allowed)
 
 
 def reduced_trials(

@@ -45,7 +45,8 @@ class RayExecutor:
                 try:
                     self._ray.init(address=address, **quiet)
                 except (ConnectionError, ValueError) as error:
-                    raise HeftError(f"{ADDRESS}: got {address!r}, where no cluster answers: {error}") from None
+                    why = f"where no cluster answers: {error}; one that asks for a token needs RAY_AUTH_MODE=token"
+                    raise HeftError(f"{ADDRESS}: got {address!r}, {why}") from None
             else:
                 self._start(max(workers, 1), quiet)
         # A task lost with its worker or its machine is begun again by Ray, somewhere else

@@ -28,6 +28,8 @@ from testbed.toml import load_toml
 BUDGETS = [95.0, 190.0, 380.0]
 TURNS = {"policy.pivots": [2, 4, 8], "policy.accelerated": [1, 2, 4]}
 METHODS = "bayes", "hidden_states", "least_squares"
+PADDED = load_scenario("lab_pads")[1].objects
+"""Objects on pads."""
 KINDS = {
     "turns": ("lab_fixed", False),
     "turns, on pads": ("lab_fixed", True),
@@ -41,10 +43,9 @@ def scenario_of(kind: str, given: argparse.Namespace) -> Scenario:
     """Scenario of a kind of trials, at several robot times."""
     name, on_pads = KINDS[kind]
     found = load_scenario(name)[1].model_dump(exclude_unset=True)
-    known = load_scenario("lab_pads")[1].objects
-    objects = [path for path in known if Path(path).stem.removesuffix(PADS) in given.objects]
+    objects = [path for path in PADDED if Path(path).stem.removesuffix(PADS) in given.objects]
     if given.drawn:
-        feet = load_toml(Path(known[0]), ObjectFile).feet if on_pads else None
+        feet = load_toml(Path(PADDED[0]), ObjectFile).feet if on_pads else None
         family = {"name": "drawn", "count": given.drawn, "seed": given.family}
         found |= {"objects": [], "random": [family | ({} if feet is None else {"feet_m": feet.under_each_m})]}
     else:
@@ -108,7 +109,10 @@ def main() -> None:
     given = parser.parse_args()
     sets = {}
     lines = [["trials", "method", "robot, s", "NAD, mean", "error / claimed", "90 % hold", "silent", "answers"]]
-    for kind in [kind for kind, (name, _) in KINDS.items() if name == "lab" or not given.planned]:
+    padded = given.drawn or {*given.objects} & {Path(path).stem.removesuffix(PADS) for path in PADDED}
+    for kind, (name, on_pads) in KINDS.items():
+        if (given.planned and name != "lab") or (on_pads and not padded):
+            continue
         folder = given.folder / kind.replace(", ", "_").replace(" ", "_")
         with show_progress() as progress:
             run_scenario(scenario_of(kind, given), folder, given.workers, progress, secret=given.secret)

@@ -21,6 +21,7 @@ from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.hidden_states.estimator import HiddenStates
+from estimators.posterior.estimator import Bayes
 from estimators.testing.analytic_world import accelerated, turns
 from scenarios.study.estimates import MOST_PARTICLES
 from testbed.objects.blocks import block_object, parse_layout
@@ -28,6 +29,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 
 METHODS: dict[str, Any] = {
+    "bayes": Bayes(),
     "hidden_states": HiddenStates(),
     "random_search": RandomSearch(),
     "weighted_sampling": WeightedSampling(),

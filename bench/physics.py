@@ -100,8 +100,7 @@ def off_coulomb(model: ObjectModel, trajectory: Trajectory, support: Support) ->
     particles = ParticleModel.of(model.shape)
     mass = torch.tensor(model.particle_mass)
     table = observed.table(particles)
-    motion = table.motion(mass)
-    load = observed.gripper_load(table.lever, motion, model.shape.height)
+    load = observed.gripper_load(particles, mass, model.shape.height)
     if support.is_rigid:
         normal = rigid_loads(particles, mass, load)
     else:

@@ -87,7 +87,8 @@ def run(folder: str, trials: int, estimates: int, workers: int) -> dict[str, Any
     """Seconds of a run, and memory [MiB] of this process at a tenth of the estimates and at most, and of a worker."""
     begin, memory = time.perf_counter(), [peak(resource.RUSAGE_SELF)]
 
-    def progress(stage: str, done: int, total: int, _: int = 0) -> None:
+    def progress(stage: str, done: int, total: int, failed: int = 0) -> None:
+        del failed
         if stage == "estimates" and done <= total / 10:
             memory[0] = peak(resource.RUSAGE_SELF)
 

@@ -79,10 +79,12 @@ def open_loop(
 
     `friction` is mu_i N_i [N] of each turn. All turns take their steps side by side.
     """
+    if not turns:
+        return [], []
     last = [len(turn.pose) - 1 for turn in turns]
     soon = [min(round(OPEN_LOOP / turn.dt), n) for turn, n in zip(turns, last, strict=True)]
     at = [np.unique(np.r_[0:near:FINE, near:end:COARSE, end]) for near, end in zip(soon, last, strict=True)]
-    count = max((len(samples) for samples in at), default=1) - 1
+    count = max(map(len, at)) - 1
     at = [np.pad(samples, (0, count + 1 - len(samples)), mode="edge") for samples in at]  # steps of no length
     dt = np.array([turn.dt * np.diff(samples) for turn, samples in zip(turns, at, strict=True)])
     feet, hand = _Feet.of(model, inertia), np.array([(turn.grasp - inertia.com).numpy() for turn in turns])

@@ -53,7 +53,8 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
     """Windows of every lift among some trajectories that ended well, by its place among them.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
+        InvalidValueError: a grasp that the shape does not have, no shape, something other than trajectories, or a
+            record of too few samples a second.
     """
     check_trials(shape, trajectories)
     return reduced_trials(shape, trajectories, lambda action: action.in_air, lift_windows)

@@ -39,7 +39,8 @@ def observe(
     load of a nulled gripper counts here.
 
     Raises:
-        InvalidValueError: a grasp that the shape does not have, no shape, or something other than trajectories.
+        InvalidValueError: a grasp that the shape does not have, no shape, something other than trajectories, or a
+            record of too few samples a second.
     """
     check_trials(shape, trajectories)
     found = _observed(shape, tuple(trajectories), errors or ModelErrors())

@@ -8,6 +8,7 @@ results/<scenario>/manifest.json
                                    error.txt                      or why there is none
                    objects/<key>/<name>.toml                      drawn objects
                    notes/<key>.json                               what would take long to work out again
+                         marks.parquet                            files that were read whole, until they change
                          <method>.log                             what a method of another package printed
                    results.parquet                                derived from the above
 """
@@ -27,7 +28,7 @@ import numpy as np
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, read_manifest, write_json
-from scenarios.results.table import unchanged
+from scenarios.results.marks import Marks, mark_of
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_text
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
@@ -144,20 +145,22 @@ class Store:
         """True if a trial is done."""
         return inside(self.root, "trials", key, "trial.json").is_file()
 
-    def has_sound_trial(self, key: str, since_ns: int = 0) -> bool:
+    def has_sound_trial(self, key: str, marks: Marks | None = None) -> bool:
         """True if a trial is done, and its files are as they were written; a damaged one is not done any more.
 
-        Files are not read that were last changed before `since_ns`, a time at which they were sound.
+        Files that have their mark are not read; the mark of others is added.
         """
         if not self.has_trial(key):
             return False
         folder = inside(self.root, "trials", key, "trial.json").parent
         files = [path for name in _TRIAL_FILES if (path := folder / name).exists() or name == "trajectory.parquet"]
-        if unchanged(since_ns, *files):
+        marks, name, mark = {} if marks is None else marks, f"trials/{key}", mark_of(files)
+        if mark and marks.get(name) == mark:
             return True
         if unless_damaged(lambda: [load_sealed(path, "file", len) for path in files], "made again") is None:
             (folder / "trial.json").unlink(missing_ok=True)
             return False
+        marks[name] = mark
         return True
 
     def put_trial(
@@ -213,13 +216,16 @@ class Store:
         """
         return read_json(inside(self.root, "estimates", key, "result.json"))
 
-    def sound_result(self, key: str) -> dict[str, Any] | None:
-        """A finished estimate's row; None where it is not done, or one of its files is damaged."""
+    def sound_result(self, key: str, marks: Marks) -> dict[str, Any] | None:
+        """A finished estimate's row; None where it is not done, or one of its files is damaged. Adds its mark."""
+        folder = inside(self.root, "estimates", key, "result.json").parent
+        mark = mark_of((folder / "result.json", folder / "estimate.npz"))
 
         def checked() -> dict[str, Any] | None:
             row = self.result(key)
             if row is not None:
-                load_sealed(inside(self.root, "estimates", key, "estimate.npz"), "estimate", len)
+                load_sealed(folder / "estimate.npz", "estimate", len)
+                marks[f"estimates/{key}"] = mark
             return row
 
         return unless_damaged(checked, "made again")

@@ -1,8 +1,7 @@
-"""Table of results: rows kept by column as they come, and taken from the last run's table where nothing has changed."""
+"""Table of results: rows kept by column as they come, and taken from the last run's table while files stay as read."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from estimators.evaluation.statistics import AXIS
+from scenarios.results.marks import load_marks, mark_of, write_marks
 from testbed.files import UNSEALED, load_sealed, read_table, unless_damaged, write_sealed
 
 PIECE = 1000
@@ -25,20 +25,19 @@ class ResultTable:
     """Table of a results folder, in the order of its rows' places."""
 
     def __init__(self, root: Path):
-        self._file, self._estimates = root / "results.parquet", root / "estimates"
+        self._root, self._file = root, root / "results.parquet"
         self._pieces: list[pa.Table] = []
         self._buffer: list[tuple[tuple[int, ...], Mapping[str, Any], dict[str, Any] | int]] = []
         self._places: list[tuple[int, ...]] = []
         self._labels: list[Mapping[str, Any]] = []
         self._last = pa.table({})
         self._row_of: dict[str, int] = {}
-        self.written_ns = 0
-        """Time since the epoch at which the last table was written [ns]; 0 without one."""
+        self.marks = load_marks(root)
+        """Marks of all trials and estimates that were read whole; those that are read from now on are added."""
         if self._file.is_file():
-            written_ns = os.stat(self._file).st_ctime_ns
             last = unless_damaged(lambda: load_sealed(self._file, "table of results", read_table), "written again")
             if last is not None and {"key", "status"} <= {*last.column_names}:
-                self._last, self.written_ns = last, written_ns
+                self._last = last
                 both = zip(last["key"].to_pylist(), last["status"].to_pylist(), strict=True)
                 self._row_of = {key: row for row, (key, status) in enumerate(both) if status not in _NO_FILES}
 
@@ -52,9 +51,10 @@ class ResultTable:
         self._flush(PIECE)
 
     def recall(self, place: tuple[int, ...], labels: Mapping[str, Any], key: str) -> bool:
-        """Take the row of an estimate from the last table, whose files were sound; False where one is newer."""
-        row, folder = self._row_of.get(key), f"{self._estimates}/{key}"
-        if row is None or not unchanged(self.written_ns, f"{folder}/result.json", f"{folder}/estimate.npz"):
+        """Take the row of an estimate from the last table; False where it has none, or a file may have changed."""
+        row, marked = self._row_of.get(key), self.marks.get(f"estimates/{key}", "")
+        folder = f"{self._root}/estimates/{key}"
+        if row is None or not marked or marked != mark_of((f"{folder}/result.json", f"{folder}/estimate.npz")):
             return False
         self._buffer.append((place, labels, row))
         self._flush(PIECE)
@@ -83,7 +83,10 @@ class ResultTable:
         columns: dict[str, Any] = {name: _of_one_kind([self._labels[row].get(name) for row in order]) for name in names}
         if self._pieces:
             pieces = [piece.replace_schema_metadata() for piece in self._pieces]
-            columns |= _counts(pa.concat_tables(pieces, promote_options="permissive").take(order))
+            self._pieces = [pa.concat_tables(pieces, promote_options="permissive").take(order)]
+            self._places, self._labels = ([each[row] for row in order] for each in (self._places, self._labels))
+            columns |= _counts(self._pieces[0])
+        write_marks(self._root, self.marks)
         table = pa.table(columns).replace_schema_metadata({b"checksum": UNSEALED.encode()})
         write_sealed(self._file, lambda part: pq.write_table(table, part, compression="zstd"))
         return table.to_pandas()
@@ -95,14 +98,6 @@ def write_rows(root: Path, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
     for place, row in enumerate(rows):
         table.add((place,), {name: value for name, value in row.items() if name.startswith(AXIS)}, row)
     return table.write()
-
-
-def unchanged(since_ns: int, *paths: str | Path) -> bool:
-    """True if all files are there and were last changed before a time since the epoch [ns]."""
-    try:
-        return all(os.stat(path).st_ctime_ns < since_ns for path in paths)
-    except OSError:
-        return False
 
 
 def _counts(table: pa.Table) -> dict[str, pa.ChunkedArray]:

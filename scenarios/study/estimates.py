@@ -80,7 +80,7 @@ class EstimateRun:
                 if not task.failure and self.table.recall(draw[0], task.labels, key):
                     self._show()
                     continue
-                row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key)
+                row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key, self.table.marks)
                 if row is not None:
                     self._put(draw, row)
                 elif not estimates_many(task.method, task.settings):
@@ -117,14 +117,17 @@ class EstimateRun:
             self.waiting.extendleft([draw] for draw in reversed(batch))
             return
         for draw in batch:
-            place, _, key = draw
+            place, task, key = draw
             if isinstance(value, Failure):
+                for trial in task.keys + task.held_out:  # the next run reads them again: they may be why
+                    self.table.marks.pop(f"trials/{trial}", None)
                 self.store.put_error("estimates", key, value.detail)
                 self._put(draw, _failed(place[-1], value.reason))
             else:  # the row as the next run will read it
                 if self.on_result is not None:
                     self.on_result("estimate", key)
-                self._put(draw, self.store.sound_result(key) or _failed(place[-1], "it cannot be read back"))
+                row = self.store.sound_result(key, self.table.marks)
+                self._put(draw, row or _failed(place[-1], "it cannot be read back"))
 
     def _put(self, draw: _Draw, row: dict[str, Any]) -> None:
         place, task, key = draw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 from estimators.action_selection.rank import RankDriven
@@ -128,12 +128,13 @@ def experiments_of(
         HeftError: an object that cannot be read; or none that can be handled.
     """
     experiments, left_out, feasible = [], [], _Grasps(store)
+    load_once = lru_cache(maxsize=None)(load_object)  # for all points of a sweep
     points = scenario.points()
     total = len(points) * (len(scenario.objects) + sum(family.count for family in scenario.random))
     done = 0
     for axes, point in points:
         settings = point.simulation.build()
-        for name, load in _sources(point, feasible, store):
+        for name, load in _sources(point, feasible, store, load_once):
             try:
                 model = point.truth.applied(load(point.grid.feet), store.secret)
                 even = point.truth.model_copy(update={"friction_spread": 0.0})
@@ -195,25 +196,27 @@ def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Sc
         return point.model_copy(update={"policy": pushed}), ()
 
 
-def object_paths(scenario: Scenario) -> dict[str, str]:
-    """Path, or name in the library, of each object by its name.
+def object_paths(scenario: Scenario, load: Callable[[str], ObjectModel] = load_object) -> dict[str, str]:
+    """Path, or name in the library, of each object by its name; `load` reads one as `load_object` does.
 
     Raises:
         HeftError: an object that cannot be read, or two of one name.
     """
-    paths = {load_object(path).name: path for path in scenario.objects}
+    paths = {load(path).name: path for path in scenario.objects}
     if len(paths) < len(scenario.objects):
         raise InvalidValueError("objects", scenario.objects, "objects of different names")
     return paths
 
 
-def _sources(scenario: Scenario, feasible: _Grasps, store: Store) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
-    """Name of every object, and a function that cuts it into a grid."""
-    for name, path in object_paths(scenario).items():
-        yield name, partial(load_object, path)
+def _sources(
+    scenario: Scenario, feasible: _Grasps, store: Store, load: Callable[..., ObjectModel]
+) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
+    """Name of every object, and a function that cuts it into a grid; `load` reads one as `load_object` does."""
+    for name, path in object_paths(scenario, load).items():
+        yield name, partial(load, path)
     for family in scenario.random:
         for index, name in enumerate(family.names()):
-            yield name, partial(load_object, _drawn(family, index, scenario, feasible, store))
+            yield name, partial(load, _drawn(family, index, scenario, feasible, store))
 
 
 def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, store: Store) -> str:
@@ -248,19 +251,21 @@ class _Grasps:
     def __init__(self, store: Store):
         self._store = store
         self._new: dict[str, dict[str, Any]] = {}
+        self._known: dict[str, dict[str, Any]] = {}
 
     def of(self, model: ObjectModel, point: Scenario) -> tuple[int, ...]:
         """Feasible grasps; raises InfeasibleTrialError where there are none."""
         name, check = model.name, point.policy.check(model, point.simulation.build(), self._store.secret)
         assumed = object_request(ObjectModel(name, check.shape, check.guess.uniform(check.shape)))
         key = key_of({"assumed": assumed, "simulation": asdict(check.settings), "what": "grasps"})
-        known = self._new.get(key) or self._store.note(key)
+        known = self._known.get(key) or self._store.note(key)
         if known is None:
             try:
                 known = {"grasps": list(feasible_grasps(name, check))}
             except InfeasibleTrialError as error:
                 known = {"reason": str(error)}
             self._new[key] = known
+        self._known[key] = known
         if "reason" in known:
             raise InfeasibleTrialError(known["reason"])
         return tuple(int(grasp) for grasp in known["grasps"])

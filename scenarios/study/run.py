@@ -91,7 +91,7 @@ def carry_out(
         write_json(out / "manifest.json", manifest(scenario, store.secret, DryRun.of(scenario)) | contents)
         table = ResultTable(store.root)
         estimates = EstimateRun(experiments, store, table, tasks, progress, on_result)
-        trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result, table.written_ns)
+        trials = TrialRun(deque(experiments), store, tasks, progress, estimates.add, on_result, table.marks)
         work_off(tasks, estimates.start, trials.start)
         for index, experiment in enumerate(left_out):
             table.add((len(scenario.sensing), index), *infeasible_row(experiment))

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 
 from scenarios.execution.executor import Executor, Failure
+from scenarios.results.marks import Marks
 from scenarios.results.store import Store, key_of, object_request, trial_request
 from scenarios.results.trials import sensed
 from scenarios.runners import NamedRunner, RunnerSettings
@@ -39,8 +40,8 @@ class TrialRun:
     ended: Callable[[Experiment], None]
     """Called with each experiment whose trials are there, or that has failed."""
     on_result: ResultCallback | None = None
-    written_ns: int = 0
-    """Time of the last results: trials whose files have not changed since are sound, ns since the epoch."""
+    marks: Marks = field(default_factory=dict)
+    """Marks of the trials that were read whole."""
     done: int = 0
     """Trials done."""
     failed: int = 0
@@ -70,7 +71,7 @@ class TrialRun:
         return True
 
     def _begin(self, experiment: Experiment) -> None:
-        if _recalled(experiment, self.store, self.written_ns):
+        if _recalled(experiment, self.store, self.marks):
             self.done += len(experiment.keys) + len(experiment.held_out_keys)
             self._end(experiment)
         else:
@@ -112,7 +113,7 @@ class TrialRun:
                 break
             if refusal is not None:
                 experiment.refuse(action, refusal)
-            elif _taken(experiment, action, key, self.store):
+            elif _taken(experiment, action, key, self.store, self.marks):
                 self.done += 1
             else:
                 continue
@@ -149,9 +150,9 @@ def _next_action(experiment: Experiment) -> Action | None:
     return action
 
 
-def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bool:
+def _taken(experiment: Experiment, action: Action, key: str, store: Store, marks: Marks) -> bool:
     """Take a finished trial into the experiment; False where its file is damaged and it has to be made again."""
-    if not store.has_sound_trial(key):
+    if not store.has_sound_trial(key, marks):
         return False
     trajectory = store.trajectory(key)
     if experiment.finished:
@@ -166,10 +167,10 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store) -> bo
     return True
 
 
-def _recalled(experiment: Experiment, store: Store, since_ns: int) -> bool:
+def _recalled(experiment: Experiment, store: Store, marks: Marks) -> bool:
     """Take all trials of an experiment from an earlier run; False where some are missing."""
     note = store.note(_key_of(experiment, store))
-    if note is None or not all([store.has_sound_trial(key, since_ns) for key in note["keys"] + note["held_out"]]):
+    if note is None or not all([store.has_sound_trial(key, marks) for key in note["keys"] + note["held_out"]]):
         return False
     experiment.keys, experiment.held_out_keys = note["keys"], note["held_out"]
     return True

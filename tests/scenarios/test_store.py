@@ -20,6 +20,7 @@ from estimators.identifiability.report import identifiability
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_rows
 from scenarios.results.files import read_json, read_manifest, write_json
+from scenarios.results.marks import mark_of
 from scenarios.results.store import Store, key_of, keys_of_seeds, object_request, trial_request
 from scenarios.results.table import ResultTable, rows_of, write_rows
 from scenarios.results.trials import keys_of, measured_records, read_trial
@@ -76,15 +77,17 @@ def test_a_swept_setting_of_words_and_numbers_is_kept_in_words(tmp_path):
     assert list(kept)[:4] == ["own_weight", "10", "1000.0", "rigid"]
 
 
-def test_a_row_of_the_last_table_is_taken_where_no_file_of_its_estimate_has_changed(tmp_path):
+def test_a_row_of_the_last_table_is_taken_while_the_files_of_its_estimate_stay_as_they_were_read(tmp_path):
     files = [tmp_path / "estimates" / "a" / name for name in ("result.json", "estimate.npz")]
     for file in files:
         write_text(file, "sound")
-    time.sleep(0.02)  # a file system's clock ticks every few milliseconds
     rows = [{"object": "old", "key": key, "status": status, "nad": 0.25, "trials": 3, "more": None}
             for key, status in (("a", "ok"), ("b", "failed"))]  # fmt: skip
     write_rows(tmp_path, rows)
-    table, labels = ResultTable(tmp_path), {"object": "new"}
+    labels = {"object": "new"}
+    assert not ResultTable(tmp_path).recall((1,), labels, "a"), "nobody has read it"
+    table = ResultTable(tmp_path)
+    table.marks |= {"estimates/a": mark_of(files), "estimates/b": mark_of([tmp_path / "none"])}
     assert table.recall((1,), labels, "a")
     assert not table.recall((0,), labels, "b") and not table.recall((0,), labels, "c")
     table.add((0,), labels, rows[1] | {"status": "ok", "nad": None, "more": "words"})
@@ -94,13 +97,30 @@ def test_a_row_of_the_last_table_is_taken_where_no_file_of_its_estimate_has_chan
         {"object": "new", "key": "a", "status": "ok", "nad": 0.25, "trials": 3, "more": None},
     ]  # fmt: skip
     assert frame["trials"].dtype == int
-    for change in (files[0].touch, files[1].unlink):
-        time.sleep(0.02)
-        table.write()
-        assert ResultTable(tmp_path).recall((0,), labels, "a")
+    assert ResultTable(tmp_path).recall((0,), labels, "a")
+    (tmp_path / "results.parquet").touch()
+    assert ResultTable(tmp_path).recall((0,), labels, "a")
+    for change in (files[0].touch, lambda: write_text(files[0], "sound"), files[1].unlink):
+        table = ResultTable(tmp_path)
+        time.sleep(0.02)  # a file system's clock ticks every few milliseconds
         change()
-        assert not ResultTable(tmp_path).recall((0,), labels, "a")
-        files[0].touch()
+        assert not table.recall((0,), labels, "a")
+        table.marks["estimates/a"] = mark_of(files)
+        table.write()
+
+
+def test_a_trial_is_read_again_once_it_has_changed(copied):
+    store, marks = Store(copied), dict[str, str]()
+    key = next(key for key in keys_of(copied) if store.trajectory(key).action.moves)
+    path = copied / "trials" / key / "trajectory.parquet"
+    assert store.has_sound_trial(key, marks) and [*marks] == [f"trials/{key}"]
+    assert store.has_sound_trial(key, marks)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.warns(DamagedFileWarning, match="made again"):
+        assert not store.has_sound_trial(key, marks)
+    assert not store.has_trial(key)
 
 
 def same(a: object, b: object) -> None:

@@ -84,7 +84,8 @@ class ResultTable:
         if self._pieces:
             pieces = [piece.replace_schema_metadata() for piece in self._pieces]
             self._pieces = [pa.concat_tables(pieces, promote_options="permissive").take(order)]
-            self._places, self._labels = ([each[row] for row in order] for each in (self._places, self._labels))
+            self._places = [self._places[row] for row in order]
+            self._labels = [self._labels[row] for row in order]
             columns |= _counts(self._pieces[0])
         write_marks(self._root, self.marks)
         table = pa.table(columns).replace_schema_metadata({b"checksum": UNSEALED.encode()})

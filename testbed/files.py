@@ -13,7 +13,7 @@ import os
 import re
 import stat
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -221,6 +221,21 @@ def read_table(data: bytes) -> pa.Table:
     if values > MOST_VALUES:
         raise ValueError(f"{values} values, more than the {MOST_VALUES} that are read")
     return file.read()
+
+
+def write_table(path: Path, table: pa.Table, metadata: Mapping[str, str] | None = None, **options: Any) -> None:
+    """Write a table as a sealed Parquet file.
+
+    Args:
+        path: the file.
+        table: the table; its own metadata are left out.
+        metadata: entries beside the checksum.
+        options: options of `pyarrow.parquet.write_table`.
+    """
+    import pyarrow.parquet as pq  # noqa: PLC0415  this module loads quickly
+
+    sealed = table.replace_schema_metadata({**(metadata or {}), "checksum": UNSEALED})
+    write_sealed(path, lambda part: pq.write_table(sealed, part, compression="zstd", **options))
 
 
 def unless_damaged(read: Callable[[], T], then: str) -> T | None:

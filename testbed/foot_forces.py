@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
-from testbed.files import UNSEALED, load_sealed, read_table, write_sealed
+from testbed.files import load_sealed, read_table, write_table
 from testbed.validation import freeze_arrays, frozen_array
 
 _AXES = ("fx_N", "fy_N", "fz_N")
@@ -47,12 +46,8 @@ def save_foot_forces(feet: FootForces, path: Path) -> None:
     }
     table = pa.table({"time_s": feet.time_s} | lists)
     particle = ",".join(map(str, feet.particle))
-    table = table.replace_schema_metadata({"particle": particle, "checksum": UNSEALED})
     split = {name: "BYTE_STREAM_SPLIT" for name in ("time_s", *(f"{axis}.list.element" for axis in _AXES))}
-    write_sealed(
-        path,
-        lambda part: pq.write_table(table, part, compression="zstd", use_dictionary=False, column_encoding=split),
-    )
+    write_table(path, table, {"particle": particle}, use_dictionary=False, column_encoding=split)
 
 
 def load_foot_forces(path: Path) -> FootForces:

@@ -11,13 +11,12 @@ from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from testbed.actions.base import Action, action_from_dict
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.files import UNSEALED, load_sealed, read_table, write_sealed
+from testbed.files import load_sealed, read_table, write_table
 from testbed.sensing.camera import PoseStream
 from testbed.validation import freeze_arrays, frozen_array, is_number
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -247,20 +246,10 @@ def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     }
     for name, units in SERIES.items():
         columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
-    table = _with_camera(pa.table(columns), trajectory.camera).replace_schema_metadata(
-        {"heft": json.dumps(header_of(trajectory)), "checksum": UNSEALED}
-    )
+    table = _with_camera(pa.table(columns), trajectory.camera)
     floats = [name for name, values in columns.items() if values.dtype == np.float64]
-    write_sealed(
-        path,
-        lambda part: pq.write_table(
-            table,
-            part,
-            compression="zstd",
-            use_dictionary=False,
-            column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
-        ),
-    )
+    split = dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
+    write_table(path, table, {"heft": json.dumps(header_of(trajectory))}, use_dictionary=False, column_encoding=split)
 
 
 def trajectory_of(header: dict[str, Any], series: Mapping[str, np.ndarray], camera: PoseStream | None) -> Trajectory:

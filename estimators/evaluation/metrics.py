@@ -92,7 +92,7 @@ def open_loop(
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))
     wrench = np.array([t.wrench.numpy()[samples] for t, samples in zip(turns, at, strict=True)])
     # In the object's axes, where the feet stay and a steady turn keeps its velocity
-    path, turn, velocity = [pose], 0.0 * pose[:, 2], _along(pose[:, 2], velocity)
+    path, turn, velocity = [pose], np.zeros(len(turns)), _along(pose[:, 2], velocity)
     before = velocity
     for k in range(count):
         step, pushed = dt[:, k, None], _along(pose[:, 2], wrench[:, k])

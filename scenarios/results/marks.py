@@ -1,4 +1,4 @@
-"""Marks of files that were read whole: as in git's index, a file is not read again until the system shows a change."""
+"""Marks of files that were read whole: such a file is not read again until its inode, size or times change."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from testbed.files import UNSEALED, load_sealed, read_table, unless_damaged, write_sealed
+from testbed.files import load_sealed, read_table, unless_damaged, write_table
 
 Marks = dict[str, str]
-"""Mark by the name of a folder, such as estimates/<key>."""
+"""Mark by the name of a folder, such as estimates/<key>; never an empty one."""
+ESTIMATE = ("result.json", "estimate.npz")
+"""Files of an estimate."""
 
 
-def mark_of(files: Iterable[str | Path]) -> str:
-    """Mark of some files: a digest of inode, size, and time of change of each; empty where one is missing."""
+def mark_of(folder: str | Path, files: Iterable[str]) -> str:
+    """Mark of some files of a folder: a digest of inode, size, and times of each; empty where one is missing."""
     try:
-        found = [os.stat(file) for file in files]
+        found = [os.stat(f"{folder}/{file}") for file in files]
     except OSError:
         return ""
     states = [(each.st_ino, each.st_size, each.st_mtime_ns, each.st_ctime_ns) for each in found]
@@ -28,7 +29,7 @@ def mark_of(files: Iterable[str | Path]) -> str:
 
 def load_marks(root: Path) -> Marks:
     """Marks that the last run of a results folder left; none where they are missing or damaged."""
-    file = root / "notes" / "marks.parquet"
+    file = _file_of(root)
     if not file.is_file():
         return {}
     table = unless_damaged(lambda: load_sealed(file, "table of marks", read_table), "all files are read again")
@@ -37,7 +38,8 @@ def load_marks(root: Path) -> Marks:
 
 def write_marks(root: Path, marks: Marks) -> None:
     """Write the marks of a results folder."""
-    table = pa.table({"name": list(marks), "mark": list(marks.values())})
-    table = table.replace_schema_metadata({b"checksum": UNSEALED.encode()})
-    file = root / "notes" / "marks.parquet"
-    write_sealed(file, lambda part: pq.write_table(table, part, compression="zstd"))
+    write_table(_file_of(root), pa.table({"name": list(marks), "mark": list(marks.values())}))
+
+
+def _file_of(root: Path) -> Path:
+    return root / "notes" / "marks.parquet"

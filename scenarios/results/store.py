@@ -28,7 +28,7 @@ import numpy as np
 
 from estimators.base import Estimate
 from scenarios.results.files import inside, read_json, read_manifest, write_json
-from scenarios.results.marks import Marks, mark_of
+from scenarios.results.marks import ESTIMATE, Marks, mark_of
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_text
 from testbed.foot_forces import FootForces, save_foot_forces
 from testbed.objects.files import ObjectFile, asset_folder
@@ -153,11 +153,11 @@ class Store:
         if not self.has_trial(key):
             return False
         folder = inside(self.root, "trials", key, "trial.json").parent
-        files = [path for name in _TRIAL_FILES if (path := folder / name).exists() or name == "trajectory.parquet"]
-        marks, name, mark = {} if marks is None else marks, f"trials/{key}", mark_of(files)
-        if mark and marks.get(name) == mark:
+        files = [name for name in _TRIAL_FILES if (folder / name).exists() or name == "trajectory.parquet"]
+        marks, name, mark = {} if marks is None else marks, f"trials/{key}", mark_of(folder, files)
+        if marks.get(name) == mark:
             return True
-        if unless_damaged(lambda: [load_sealed(path, "file", len) for path in files], "made again") is None:
+        if unless_damaged(lambda: [load_sealed(folder / file, "file", len) for file in files], "made again") is None:
             (folder / "trial.json").unlink(missing_ok=True)
             return False
         marks[name] = mark
@@ -219,7 +219,7 @@ class Store:
     def sound_result(self, key: str, marks: Marks) -> dict[str, Any] | None:
         """A finished estimate's row; None where it is not done, or one of its files is damaged. Adds its mark."""
         folder = inside(self.root, "estimates", key, "result.json").parent
-        mark = mark_of((folder / "result.json", folder / "estimate.npz"))
+        mark = mark_of(folder, ESTIMATE)
 
         def checked() -> dict[str, Any] | None:
             row = self.result(key)

@@ -77,11 +77,11 @@ class EstimateRun:
         for place, task in self._tasks(experiment):
             for seed, key in zip(task.seeds, task.result_keys(self.store.draws), strict=True):
                 draw = ((*place, seed), task, key)
-                if not task.failure and self.table.recall(draw[0], task.labels, key):
+                if task.failure:
+                    self._put(draw, _failed(seed, task.failure))
+                elif self.table.recall(draw[0], task.labels, key):
                     self._show()
-                    continue
-                row = _failed(seed, task.failure) if task.failure else self.store.sound_result(key, self.table.marks)
-                if row is not None:
+                elif (row := self.store.sound_result(key, self.table.marks)) is not None:
                     self._put(draw, row)
                 elif not estimates_many(task.method, task.settings):
                     self.waiting.append([draw])

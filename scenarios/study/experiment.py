@@ -250,8 +250,8 @@ class _Grasps:
 
     def __init__(self, store: Store):
         self._store = store
-        self._new: dict[str, dict[str, Any]] = {}
         self._known: dict[str, dict[str, Any]] = {}
+        self._new: list[str] = []
 
     def of(self, model: ObjectModel, point: Scenario) -> tuple[int, ...]:
         """Feasible grasps; raises InfeasibleTrialError where there are none."""
@@ -264,7 +264,7 @@ class _Grasps:
                 known = {"grasps": list(feasible_grasps(name, check))}
             except InfeasibleTrialError as error:
                 known = {"reason": str(error)}
-            self._new[key] = known
+            self._new.append(key)
         self._known[key] = known
         if "reason" in known:
             raise InfeasibleTrialError(known["reason"])
@@ -272,5 +272,5 @@ class _Grasps:
 
     def keep(self) -> None:
         """Write what is new: not before the whole scenario is known to be sound."""
-        for key, note in self._new.items():
-            self._store.put_note(key, note)
+        for key in self._new:
+            self._store.put_note(key, self._known[key])

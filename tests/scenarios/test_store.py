@@ -20,7 +20,7 @@ from estimators.identifiability.report import identifiability
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_rows
 from scenarios.results.files import read_json, read_manifest, write_json
-from scenarios.results.marks import mark_of
+from scenarios.results.marks import ESTIMATE, mark_of
 from scenarios.results.store import Store, key_of, keys_of_seeds, object_request, trial_request
 from scenarios.results.table import ResultTable, rows_of, write_rows
 from scenarios.results.trials import keys_of, measured_records, read_trial
@@ -85,9 +85,9 @@ def test_a_row_of_the_last_table_is_taken_while_the_files_of_its_estimate_stay_a
             for key, status in (("a", "ok"), ("b", "failed"))]  # fmt: skip
     write_rows(tmp_path, rows)
     labels = {"object": "new"}
-    assert not ResultTable(tmp_path).recall((1,), labels, "a"), "nobody has read it"
+    assert not ResultTable(tmp_path).recall((1,), labels, "a"), "its files were not read yet"
     table = ResultTable(tmp_path)
-    table.marks |= {"estimates/a": mark_of(files), "estimates/b": mark_of([tmp_path / "none"])}
+    table.marks |= {"estimates/a": mark_of(files[0].parent, ESTIMATE), "estimates/b": "none"}
     assert table.recall((1,), labels, "a")
     assert not table.recall((0,), labels, "b") and not table.recall((0,), labels, "c")
     table.add((0,), labels, rows[1] | {"status": "ok", "nad": None, "more": "words"})
@@ -105,7 +105,7 @@ def test_a_row_of_the_last_table_is_taken_while_the_files_of_its_estimate_stay_a
         time.sleep(0.02)  # a file system's clock ticks every few milliseconds
         change()
         assert not table.recall((0,), labels, "a")
-        table.marks["estimates/a"] = mark_of(files)
+        table.marks["estimates/a"] = mark_of(files[0].parent, ESTIMATE)
         table.write()
 
 

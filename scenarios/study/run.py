@@ -83,7 +83,8 @@ def carry_out(
     A worker imports the modules of `preload` as it starts.
     """
     check_code(scenario)
-    with exclusive(out), open_executor(executor, worker_count, preload=(__name__, *preload)) as tasks:
+    workers = open_executor(executor, worker_count, preload=(__name__, *preload))
+    with exclusive(out), _none_left_over(out), workers as tasks:
         store = Store(out.absolute(), _secret_of(out) or new_secret() if secret is None else secret)
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
@@ -98,6 +99,16 @@ def carry_out(
         frame = table.write()
         write_json(out / "manifest.json", manifest(scenario, store.secret) | contents)
         yield frame, tasks
+
+
+@contextmanager
+def _none_left_over(folder: Path) -> Iterator[None]:
+    """Remove what workers were writing when a run is stopped and they are killed."""
+    try:
+        yield
+    except BaseException:
+        Store(folder).remove_leftovers()
+        raise
 
 
 def _secret_of(folder: Path) -> str:

@@ -151,12 +151,12 @@ def test_the_result_comes_before_the_facts_of_the_run(page: str, read: Reader):
     assert [link for link in dict.fromkeys(sections) if link != "#failures"][:2] == ["#result", "#tables"]
 
 
-def test_leading_methods_are_the_best_on_average_and_lost_answers_come_last():
+def test_methods_are_ordered_by_the_first_group_and_lost_answers_come_last():
     nads = {"a": (0.4, 0.1), "b": (0.2, 0.2), "c": (0.01, None), "d": (0.9, 0.9), "e": (0.3, 0.3)}
     groups = {str(g): [row(m, 0, pair[g]) for m, pair in nads.items()] for g in (0, 1)}
     table = overview(groups)
     assert [(labels[0], *(cell.text for cell in cells)) for labels, cells in table.rows] == [
-        ("b", "20.0", "20.0"), ("a", "40.0", "10.0"), ("e", "30.0", "30.0"), ("d", "90.0", "90.0"), ("c", "1.00", "-"),
+        ("b", "20.0", "20.0"), ("e", "30.0", "30.0"), ("a", "40.0", "10.0"), ("d", "90.0", "90.0"), ("c", "1.00", "-"),
     ]  # fmt: skip
     assert overview({}).rows == ()
 

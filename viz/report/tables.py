@@ -267,9 +267,9 @@ def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
-    """Median NAD over objects: methods down, the best first; groups of rows across, and the paper's own figures.
+    """Median NAD over objects: methods down, groups of rows across, and the paper's own figures.
 
-    A method that has no answer to some estimate comes after those that answer all.
+    The best of the first group comes first; methods without an answer to some estimate come after those that answer all.
 
     Args:
         groups: rows by the name of their support, sensing or point of a sweep.
@@ -277,10 +277,9 @@ def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     methods = list(dict.fromkeys(m for rows in groups.values() for m in methods_of(rows)))
     lines = {method: [_over_objects(rows, method) for rows in groups.values()] for method in methods}
 
-    def place(method: str) -> tuple[int, float]:
+    def place(method: str) -> tuple[float, ...]:
         lost = sum(row["method"] == method and row["nad"] is None for rows in groups.values() for row in rows)
-        known = [float(cell.text) for cell in lines[method] if cell.text != "-"]
-        return lost, float(np.mean(known)) if known else math.inf
+        return lost, *(math.inf if cell.text == "-" else float(cell.text) for cell in lines[method])
 
     best = sorted(methods, key=place)
     objects = {row["object"] for rows in groups.values() for row in rows}

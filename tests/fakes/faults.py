@@ -17,7 +17,7 @@ from testbed.robot.robotiq.ft300s import NOISE
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import Trial
-from tests.fakes.robot import ACTION, COUNTS, FakeRobot, robot_for, small_object
+from tests.fakes.robot import ACTION, COUNTS, FakeRobot, robot_for, run_trial, small_object
 
 BOUND = 0.150
 """Time after which nothing may drive the arm [s]."""
@@ -195,9 +195,7 @@ class Outcome:
 @lru_cache(maxsize=1)
 def undisturbed() -> tuple[Trajectory, float]:
     """The trial without any fault, and its duration [s]."""
-    robot, runner = robot_for(Trial(small_object(), ACTION), seed=99)
-    with runner:
-        trajectory = runner.run(Trial(small_object(), ACTION))
+    trajectory, robot = run_trial(Trial(small_object(), ACTION), seed=99)
     assert trajectory.ok, trajectory.reason
     return trajectory, robot.clock.now()
 

@@ -36,6 +36,7 @@ from testbed.robot.runner import RealRunner
 from testbed.sensing.camera import CAMERAS
 from testbed.sensing.presets import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.trajectory import Trajectory
 from testbed.trial import Trial
 from tests.fakes.world import TICK, Gen3World
 from tests.helpers.blocks import blocks
@@ -188,7 +189,17 @@ class FakeRobot:
             self.slid = max(self.slid, float(np.linalg.norm(self._held[-1] - self._held[150])))
 
 
-class FakeArm:
+class Entered:
+    """A device that needs nothing to be entered or left."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class FakeArm(Entered):
     """An `Arm` on the world."""
 
     def __init__(self, robot: FakeRobot):
@@ -203,9 +214,6 @@ class FakeArm:
 
     identity = ArmIdentity("fake", "1", "1")
     limits: ArmLimits = GEN3
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
@@ -307,7 +315,7 @@ class FakeGripper:
         self.robot.clock.sleep(0.8)
 
 
-class FakeSensor:
+class FakeSensor(Entered):
     """A `WrenchSensor` on the world."""
 
     identity = SensorIdentity("fake", "1", "1", 1 / TICK, 300.0, 30.0, REPEATS, NOISE)
@@ -319,12 +327,6 @@ class FakeSensor:
         self._history: list[np.ndarray] = []
         self._dead_for = 0
         self._count = self._lost = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def tick(self) -> None:
         troubles, now = self.robot.troubles, self.robot.clock.now()
@@ -367,7 +369,7 @@ class FakeSensor:
             raise SensorLostError("sensor: no frame")
 
 
-class FakeCamera:
+class FakeCamera(Entered):
     """An `ObjectCamera` on the world, with the errors of the preset `30hz`."""
 
     def __init__(self, robot: FakeRobot, seed: int = 0):
@@ -382,12 +384,6 @@ class FakeCamera:
         self.lied_at = np.inf
         """Time of its first lie [s]."""
         self._true: list[SeenFrame] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def tick(self) -> None:
         now, errors = self.robot.clock.now(), self._errors
@@ -446,10 +442,15 @@ def robot_for(
     robot, pose = FakeRobot(world, watch, seed), starting_pose(trial)
     world.place(pose, trial.action.fingertip(trial.object.shape) or trial.action.grasp or 0)
     settings = change(RobotSettings(data_sheet(opening(trial))))
-    options = {
-        "confirm": lambda _: True,
-        "tracker": robot.tracker,
-        "camera": robot.camera,
-        "clock": robot.clock,
-    } | of_runner
-    return robot, RealRunner(robot.arm, robot.gripper, robot.sensor, KnownPose(*pose), settings, **options)
+    options = {"confirm": lambda _: True, "tracker": robot.tracker, "camera": robot.camera, "clock": robot.clock}
+    devices = robot.arm, robot.gripper, robot.sensor
+    return robot, RealRunner(*devices, KnownPose(*pose), settings, **options | of_runner)
+
+
+def run_trial(
+    trial: Trial, watch: Callable[[FakeRobot], None] = lambda _: None, **options: Any
+) -> tuple[Trajectory, FakeRobot]:
+    """The record of a trial on a fake robot of its own, made by `robot_for` with these options."""
+    robot, runner = robot_for(trial, watch, **options)
+    with runner:
+        return runner.run(trial), robot

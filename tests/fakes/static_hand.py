@@ -88,10 +88,10 @@ def recorded(folder: Path, *, rest_s=2.0, way_s=2.0, sign=1, gain=None, seed=0) 
     return folder / "log.csv", folder / "map.toml"
 
 
-def off(found: Calibration) -> np.ndarray:
+def off(found: Calibration, mount: Rotation = MOUNT) -> np.ndarray:
     """Errors over those that it claims: mount, mass, center and bias."""
-    turn = (MOUNT.inv() * Rotation.from_quat(found.sensor_in_hand, scalar_first=True)).as_rotvec()
-    com = MOUNT.inv().apply(COM)
+    turn = (mount.inv() * Rotation.from_quat(found.sensor_in_hand, scalar_first=True)).as_rotvec()
+    com = mount.inv().apply(COM)
     return np.concatenate([
         turn / found.sensor_in_hand_std,
         [(found.mass - MASS) / found.mass_std],

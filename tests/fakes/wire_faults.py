@@ -27,6 +27,7 @@ from testbed.robot.runner import terminable
 from testbed.robot.safety import SafetyLimits
 from tests.fakes.gen3 import FakeGen3, Faults
 from tests.fakes.rig import ATTEMPTS, KORTEX
+from tests.fakes.robot import Entered
 from tests.fakes.world import TICK
 
 Phase = Literal["twists", "pose", "tare", "grasp"]
@@ -41,19 +42,13 @@ _LONG = 10.0
 """Duration of a phase [s]."""
 
 
-class NoiseSensor:
+class NoiseSensor(Entered):
     """A `WrenchSensor` that measures noise, 100 frames a second of the computer's clock."""
 
     identity = SensorIdentity("noise", "1", "1", 1 / TICK)
 
     def __init__(self) -> None:
         self._rng, self._next, self._count = np.random.default_rng(0), time.monotonic(), 0
-
-    def __enter__(self) -> NoiseSensor:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def drain(self) -> list[WrenchSample]:
         frames = []

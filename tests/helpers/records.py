@@ -14,6 +14,12 @@ from testbed.sensing.presets import Sensing
 from testbed.trajectory import Trajectory
 
 
+def series_of(trajectory: Trajectory, rows: slice | np.ndarray = slice(None)) -> dict[str, np.ndarray]:
+    """Copies of all arrays along the time of a trajectory, or of some of their rows."""
+    along, count = vars(trajectory).items(), trajectory.time_s.shape
+    return {name: np.array(values[rows]) for name, values in along if np.shape(values)[:1] == count}
+
+
 def turn_record(
     wrench_object: np.ndarray,
     *,

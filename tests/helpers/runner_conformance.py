@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import get_args
 
 import numpy as np
@@ -164,9 +165,10 @@ def the_truth_is_not_in_it(record: Trajectory, trial: Trial) -> None:
     assert not any(f"{value:g}" in said.split() for value in truth for said in record.provenance.values())
 
 
-def it_comes_back_from_a_file(record: Trajectory, trial: Trial, folder: Path) -> None:
-    save_trajectory(record, folder / "t.parquet")
-    back = load_trajectory(folder / "t.parquet")
+def it_comes_back_from_a_file(record: Trajectory, trial: Trial) -> None:
+    with TemporaryDirectory() as folder:
+        save_trajectory(record, Path(folder) / "t.parquet")
+        back = load_trajectory(Path(folder) / "t.parquet")
     for name, value in vars(record).items():
         if isinstance(value, np.ndarray):
             assert np.array_equal(getattr(back, name), value), name
@@ -182,5 +184,6 @@ RECORD_RULES: tuple[Callable[[Trajectory, Trial], None], ...] = (
     the_wrench_comes_by_the_path_that_all_share,
     the_hand_moves_as_it_says,
     the_truth_is_not_in_it,
+    it_comes_back_from_a_file,
 )
 """Rules of the record of the trial, which is run once."""

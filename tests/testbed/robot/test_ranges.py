@@ -31,6 +31,7 @@ from testbed.robot.robotiq.ft300s import REPEATS, Ft300s
 from testbed.robot.safety import SafetyLimits
 from testbed.toml import InvalidFileError
 from testbed.validation import Range, check_settings
+from tests.fakes.robot import FakeArm
 
 GIVEN: Mapping[type, dict[str, Any]] = {
     ArmTable: {},
@@ -171,23 +172,7 @@ def test_settings_within_their_ranges_are_taken(tmp_path):
     assert Ft300s("/dev/none").identity.repeats == REPEATS
 
 
-class Outside:
-    """Methods of an arm of somebody else's."""
-
-    def __enter__(self): ...
-
-    def __exit__(self, *_): ...
-
-    def state(self): ...
-
-    def move_to(self, pose, speed): ...
-
-    def twist(self, linear, angular): ...
-
-    def stop(self): ...
-
-
-class Ranged(Outside):
+class Ranged(FakeArm):
     def __init__(
         self,
         address: str,
@@ -201,28 +186,28 @@ class Ranged(Outside):
 
 
 @dataclasses.dataclass
-class RangedData(Outside):
+class RangedData(FakeArm):
     pause: Annotated[float, Range(0.01, 0.2, "s")] = 0.1
 
 
-class Bare(Outside):
+class Bare(FakeArm):
     def __init__(self, pause: float = 0.1): ...
 
 
 @dataclasses.dataclass
-class BareData(Outside):
+class BareData(FakeArm):
     pause: float | None = None
 
 
-class Untyped(Outside):
+class Untyped(FakeArm):
     def __init__(self, pause=0.1): ...
 
 
-class Table(Outside):
+class Table(FakeArm):
     def __init__(self, pause: dict[str, Any] | None = None): ...
 
 
-class AnyName(Outside):
+class AnyName(FakeArm):
     def __init__(self, **pause: Any): ...
 
 

@@ -14,7 +14,6 @@ from scenarios.cli.robot.trial import action_of
 from testbed.actions.lift import Lift
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.robot.calibration.motion import wrong_motion
 from testbed.robot.camera.interface import CameraLostError
@@ -29,7 +28,7 @@ from testbed.trajectory import Phase
 from testbed.trial import RIGID, Trial
 from tests.fakes.lying_camera import DRAG, LIES, begins, in_links, shifted
 from tests.fakes.lying_camera import PUSH as PUSH_TRIAL
-from tests.fakes.robot import briefly, robot_for, small_object
+from tests.fakes.robot import briefly, robot_for, run_trial, small_object
 
 OBJECT = PUSH_TRIAL.object
 PUSH = Push((0.05, -0.01), math.pi)
@@ -37,19 +36,11 @@ SLOW = pytest.mark.slow
 
 
 def run(trial: Trial, watch=lambda _: None, change=briefly, **of_runner):
-    robot, runner = robot_for(trial, watch, seed=1, change=change, **of_runner)
-    with runner:
-        return runner.run(trial), robot
+    return run_trial(trial, watch, seed=1, change=change, **of_runner)
 
 
 @SLOW
-@pytest.mark.parametrize(
-    "push",
-    [
-        pytest.param(PUSH, id="line"),
-        pytest.param(replace(PUSH, direction=math.pi - 0.3, curvature=4.0), id="curve", marks=SLOW),
-    ],
-)
+@pytest.mark.parametrize("push", [PUSH, replace(PUSH, direction=math.pi - 0.3, curvature=4.0)], ids=["line", "curve"])
 def test_a_push_measures_what_the_simulation_does(push, tmp_path):
     real, robot = run(Trial(OBJECT, push), raw=tmp_path)
     usual = SimulationRunner().run(Trial(OBJECT, push))
@@ -74,11 +65,10 @@ def test_a_push_measures_what_the_simulation_does(push, tmp_path):
 
 @SLOW
 def test_links_are_dragged_as_in_the_simulation():
-    trial = Trial(in_links(), Slide(0, direction=0.5, duration=1.6))
-    real, robot = run(trial)
+    real, robot = run(DRAG)
     assert real.ok, real.reason
     assert real.camera is not None and real.camera.parts == 2
-    usual = SimulationRunner().run(trial)
+    usual = SimulationRunner().run(DRAG)
     (ours,), (theirs,) = steady_windows(real), steady_windows(usual)
     assert_allclose((ours.wrench - theirs.wrench)[[0, 1, 5]] / [0.15, 0.15, 0.006], 0, atol=1)
     assert_allclose((real.camera.poses[-1] - robot.world.link_poses) / [5e-3, 5e-3, 0.03], 0, atol=1)
@@ -98,14 +88,15 @@ def trouble(**what):
     return watch
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize(
     ("watch", "status", "why"),
     [
-        pytest.param(trouble(camera_lost=True), "fault", "camera: unplugged", id="lost"),
-        pytest.param(trouble(camera_blind=True), "fault", "did not see the object for", id="blind", marks=SLOW),
-        pytest.param(trouble(load=np.array([0, 0, 100.0, 0, 0, 0])), "limit", "force", id="hit", marks=SLOW),
+        (trouble(camera_lost=True), "fault", "camera: unplugged"),
+        (trouble(camera_blind=True), "fault", "did not see the object for"),
+        (trouble(load=np.array([0, 0, 100.0, 0, 0, 0])), "limit", "force"),
     ],
+    ids=["lost", "blind", "hit"],
 )
 def test_a_push_that_fails_stops_and_tells(watch, status, why):
     record, robot = run(Trial(OBJECT, PUSH), watch)
@@ -168,12 +159,13 @@ def test_a_camera_that_lies_in_the_motion_leaves_a_fault_in_the_record(lie, link
 @pytest.mark.parametrize("links", [False, True], ids=["push", "links"])
 def test_an_honest_camera_is_no_liar(links):
     """In ten trials each; a tag that flips for one frame is left out."""
+
+    def flips(robot):
+        robot.camera.lies = lambda f: shifted(0.05, 0, 1.5)(f) if len(f) % 40 == 39 else f[-1]
+
     trial = DRAG if links else PUSH_TRIAL
     for seed in range(10):
-        robot, runner = robot_for(trial, seed=seed)
-        robot.camera.lies = lambda f: shifted(0.05, 0, 1.5)(f) if len(f) % 40 == 39 else f[-1]
-        with runner:
-            record = runner.run(trial)
+        record, _ = run_trial(trial, flips, seed=seed)
         assert record.ok, record.reason
 
 
@@ -186,7 +178,7 @@ def tilting(settings: RobotSettings) -> RobotSettings:
     return replace(settings, limits=replace(settings.limits, tilt=STEEP))
 
 
-@pytest.mark.slow
+@SLOW
 def test_the_leg_in_the_air_moves_as_it_says_it_does():
     settings = tilting(RobotSettings(data_sheet(0.05), table_height=0.01))
     plan = plan_trial(TRIAL, np.array([0.5, -0.1, 0.4]), settings)
@@ -231,11 +223,9 @@ def test_the_command_names_lifts():
     assert given == Lift.stop_and_go(1, math.radians(10.0), hold=1.5)
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_lift_on_the_arm_weighs_and_finds_the_center():
-    robot, runner = robot_for(TRIAL, change=tilting)
-    with runner:
-        record = runner.run(TRIAL)
+    record, robot = run_trial(TRIAL, change=tilting)
     assert record.ok, record.reason
     assert robot.world.grip < 0
     truth = true_body(LIFTED)
@@ -244,27 +234,26 @@ def test_a_lift_on_the_arm_weighs_and_finds_the_center():
     assert_allclose(found.center_of_mass, truth.center_of_mass, atol=2e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["load", "sensor", "tilt"])
-def test_whatever_ends_a_lift_stops_the_arm_and_holds_on(what):
+@SLOW
+@pytest.mark.parametrize(
+    ("trouble", "value", "status", "within_s"),
+    [
+        ("load", np.array([80.0, 0.0, 0.0, 0.0, 0.0, 0.0]), "limit", 0.3),
+        ("sensor_lost", True, "fault", 0.3),
+        ("twist_scale", 2.0, "limit", 3.0),
+    ],
+    ids=["load", "sensor", "tilt"],
+)
+def test_whatever_ends_a_lift_stops_the_arm_and_holds_on(trouble, value, status, within_s):
     struck: list[float] = []
 
     def strike(robot):
-        if struck or robot.world.reading.tcp_pose.position[2] < 0.09 or robot.world.grip < 1:
-            return
-        struck.append(robot.clock.now())
-        if what == "load":
-            robot.troubles.load = np.array([80.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        elif what == "sensor":
-            robot.troubles.sensor_lost = True
-        else:
-            robot.troubles.twist_scale = 2.0
+        if not struck and robot.world.reading.tcp_pose.position[2] >= 0.09 and robot.world.grip >= 1:
+            struck.append(robot.clock.now())
+            setattr(robot.troubles, trouble, value)
 
-    quick = Lift.stop_and_go(0, hold=0.3)
-    robot, runner = robot_for(replace(TRIAL, action=quick), strike, change=tilting)
-    with runner:
-        record = runner.run(replace(TRIAL, action=quick))
-    assert record.status == ("fault" if what == "sensor" else "limit"), record.reason
+    record, robot = run_trial(replace(TRIAL, action=Lift.stop_and_go(0, hold=0.3)), strike, change=tilting)
+    assert record.status == status, record.reason
     assert robot.world.grip == 1.0
-    assert robot.driven_after(struck[0]) < (3.0 if what == "tilt" else 0.3)
+    assert robot.driven_after(struck[0]) < within_s
     assert robot.world.reading.tcp_pose.position[2] > 0.08

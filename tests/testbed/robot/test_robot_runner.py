@@ -21,19 +21,12 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool
 from testbed.trial import RIGID, Trial, TrialRunner
 from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by, undisturbed
-from tests.fakes.robot import ACTION, robot_for, small_object
+from tests.fakes.robot import ACTION, robot_for, run_trial, small_object
 from tests.fakes.world import BIAS
-from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench, it_comes_back_from_a_file
+from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench
 
 OBJECT = small_object()
 TOOL = Tool(0.9, np.zeros(3), np.eye(3) * 1e-3, np.array([0, 0, 0.17]))
-
-
-def run(action, support=None, **of_runner):
-    trial = Trial(OBJECT, action) if support is None else Trial(OBJECT, action, support)
-    robot, runner = robot_for(trial, **of_runner)
-    with runner:
-        return runner.run(trial), robot
 
 
 CONFORMING = Trial(OBJECT, replace(ACTION, speed=math.radians(20), duration=1.6, back=True))
@@ -62,7 +55,8 @@ def record(bench):
 @pytest.fixture
 def measured(action, request):
     """Record of an action."""
-    return request.getfixturevalue("record") if action is CONFORMING.action else run(action, seed=1)[0]
+    conforms = action is CONFORMING.action
+    return request.getfixturevalue("record") if conforms else run_trial(Trial(OBJECT, action), seed=1)[0]
 
 
 @pytest.mark.slow
@@ -126,7 +120,7 @@ def test_a_sensor_that_is_turned_and_negated_gives_the_same():
 
 @pytest.mark.slow
 def test_lifting_weighs_the_object_with_its_error():
-    trajectory, _ = run(Weigh(), RIGID)
+    trajectory, _ = run_trial(Trial(OBJECT, Weigh(), RIGID))
     assert trajectory.ok, trajectory.reason
     error = trajectory.figures["weight_std_kg"]
     assert 0.002 < error < 0.02
@@ -213,10 +207,6 @@ def test_the_record_keeps(rule, record):
     rule(record, CONFORMING)
 
 
-def test_the_record_comes_back_from_a_file(record, tmp_path):
-    it_comes_back_from_a_file(record, CONFORMING, tmp_path)
-
-
 MISTAKES = {
     "sign": {"sensor_sign": -1},
     "rotation": {"sensor_orientation": np.array([0.0, 0.0, 0.0, 1.0])},
@@ -230,15 +220,12 @@ MISTAKES = {
 )
 def test_a_wrong_calibration_shows_before_anything_is_touched(name):
     """By the change of the wrench as the tool is tilted over the object."""
-    trial = Trial(OBJECT, ACTION)
     lowest: list[float] = []
-    robot, runner = robot_for(
-        trial,
+    record, robot = run_trial(
+        Trial(OBJECT, ACTION),
         lambda robot: lowest.append(robot.world.reading.tcp_pose.position[2]),
         change=lambda settings: replace(settings, **MISTAKES[name]),
     )
-    with runner:
-        record = runner.run(trial)
     assert record.status == "fault"
     assert "than its weight says" in record.reason
     assert min(lowest) > 0.07 and robot.world.grip < 0

@@ -12,12 +12,12 @@ from testbed.robot.config import RobotSettings
 from testbed.sensing.compensation import compensate, tare_biases
 from testbed.sensing.drift import DriftLimit, drift_of, judge_drift
 from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import PRESETS, preset
+from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import Trial
-from tests.fakes.robot import ACTION, FakeRobot, robot_for, small_object
-from tests.helpers.records import coloured_noise, moving_hand, record
+from tests.fakes.robot import ACTION, FakeRobot, run_trial, small_object
+from tests.helpers.records import DOWN, coloured_noise, moving_hand, record
 
 BEFORE = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
 AFTER = BEFORE + np.array([0.3, 0.0, 0.4, 0.0, -0.03, 0.04])
@@ -51,11 +51,14 @@ def test_the_first_tare_alone_is_the_zero():
     assert_allclose(drifted.wrench_on_object_world[:101], whole.wrench_on_object_world[:101], atol=1e-9)
 
 
-def test_a_bias_drawn_after_the_tare_stays_to_the_end():
+def test_a_bias_is_drawn_after_the_tare_stays_to_the_end_and_reaches_the_object():
     clean = closed(record(), np.zeros(6), np.zeros(6))
-    drawn = draw_sensing(clean, dataclasses.replace(PRESETS["ideal"], force_bias=1.0), seed=1)
-    assert_allclose(drawn.sensor_wrench[100:], np.tile(drawn.sensor_wrench[100], (300, 1)))
-    assert abs(drawn.sensor_wrench[-1, 0]) > 0
+    drawn = draw_sensing(clean, Sensing("biased", force_bias=1.0, torque_bias=0.1), seed=1)
+    bias = drawn.sensor_wrench[-1]
+    assert (bias != 0).all()
+    assert np.array_equal(drawn.sensor_wrench, np.repeat([np.zeros(6), bias], [100, 300], axis=0))
+    force = np.tile(DOWN.as_matrix() @ bias[:3], (300, 1))
+    assert_allclose(drawn.wrench_on_object_world[100:, :3], force, atol=1e-12)
 
 
 def test_drift_is_logged_and_too_much_is_no_data():
@@ -137,9 +140,7 @@ def ran(creep: float, **changes) -> Trajectory:
     def watch(bench: FakeRobot) -> None:
         bench.troubles.drift = creep * np.eye(6)[1]
 
-    _, runner = robot_for(Trial(small_object(), ACTION), watch, **changes)
-    with runner:
-        return runner.run(Trial(small_object(), ACTION))
+    return run_trial(Trial(small_object(), ACTION), watch, **changes)[0]
 
 
 def more(settings: RobotSettings) -> RobotSettings:

@@ -28,7 +28,7 @@ from testbed.sensing.windows import (
     weight_of,
 )
 from testbed.trajectory import Trajectory
-from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, turn_record
+from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, series_of, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
 ORIENTATIONS = [DOWN, *Rotation.from_quat(np.random.default_rng(5).normal(size=(3, 4)))]
@@ -139,14 +139,6 @@ BIASED = Sensing("biased", force_bias=1.0, torque_bias=0.1)
 SHAKY = Sensing("shaky", linear_acceleration_noise=0.05, angular_acceleration_noise=0.5)
 
 
-def test_a_bias_comes_only_after_the_tare_and_reaches_the_object():
-    drawn = draw_sensing(record(), BIASED, seed=1)
-    assert np.array_equal(drawn.sensor_wrench[:100], np.zeros((100, 6)))
-    assert np.array_equal(drawn.sensor_wrench[AFTER], np.tile(drawn.sensor_wrench[-1], (300, 1)))
-    force = DOWN.as_matrix() @ drawn.sensor_wrench[-1, :3]
-    assert_allclose(drawn.wrench_on_object_world[AFTER, :3], np.tile(force, (300, 1)), atol=1e-12)
-
-
 @pytest.mark.slow
 def test_a_bias_has_the_spread_asked_for():
     short = record(12, tare=6)
@@ -204,11 +196,15 @@ def test_errors_of_a_sensor_out_of_range_are_refused(name: str, value):
     assert refused.value.field == f"Sensing.{name}"
 
 
+def weighing(count: int = 5, **changes: Any) -> Trajectory:
+    """Readings of a scale with 1.8 kg on it."""
+    reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (count, 1))
+    return record(count, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading, **changes)
+
+
 @pytest.mark.parametrize("count", [1, 5])
 def test_a_scale_errs_by_its_own_spread(count: int):
-    reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (count, 1))
-    clean = record(count, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading)
-    sensing = Sensing("scale", scale=0.002)
+    clean, sensing = weighing(count), Sensing("scale", scale=0.002)
     read = [weight_of(draw_sensing(clean, sensing, seed)) for seed in range(400)]
     assert weight_of(draw_sensing(clean, preset("ideal"), 0)) == pytest.approx(1.8, abs=1e-12)
     assert np.mean(read) == pytest.approx(1.8, abs=4 * 0.002 / np.sqrt(400))
@@ -247,12 +243,10 @@ def test_each_stretch_of_constant_acceleration_is_its_own_window():
 
 def joined(first: Trajectory, second: Trajectory) -> Trajectory:
     """One record of two stretches, one after the other in the same grasp."""
-    count, step = len(first.time_s), first.time_s[1] - first.time_s[0]
-    names = [name for name, values in vars(first).items() if np.shape(values)[:1] == (count,)]
-    series = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
+    lengths, step = [len(t.time_s) for t in (first, second)], first.time_s[1] - first.time_s[0]
+    series = {name: np.concatenate([values, getattr(second, name)]) for name, values in series_of(first).items()}
     series["time_s"] = np.concatenate([first.time_s, first.time_s[-1] + step + second.time_s])
-    series["segment"] = np.repeat([0, 1], [count, len(second.time_s)])
-    return dataclasses.replace(first, **series)
+    return dataclasses.replace(first, **series | {"segment": np.repeat([0, 1], lengths)})
 
 
 def test_a_turn_there_and_back_is_two_windows_of_opposite_turn_rate():
@@ -293,21 +287,6 @@ def test_the_bias_covariance_is_made_of_the_responses_to_unit_biases(yaw: float,
     assert_allclose(move @ np.diag(hand.sensor_bias_std**2) @ move.T, expected, atol=1e-12)
     (window,) = steady_windows(hand)
     assert_allclose(window.bias_covariance, expected, atol=1e-12)
-
-
-def test_the_bias_covariance_of_a_sensor_straight_above_the_grasp():
-    # sensor z down and turned by a right angle: its x and y are the object's y and x
-    turned = Rotation.from_euler("z", 0.9 - np.pi / 2) * DOWN
-    std = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
-    tool = dataclasses.replace(TOOL, tcp=np.array([0.0, 0.0, 0.2]))
-    pose = np.tile([0.3, 0.2, 0.9], (400, 1))
-    (window,) = steady_windows(record(orientation=turned, object_pose=pose, sensor_bias_std=std, tool=tool))
-    expected = np.array([0.2, 0.1, 0.3, 0.0, 0.0, 0.03]) ** 2
-    expected[3:5] = [0.02**2 + 0.2**2 * 0.1**2, 0.01**2 + 0.2**2 * 0.2**2]
-    assert_allclose(np.diag(window.bias_covariance), expected, atol=1e-12)
-    # a force off the axis of the tool comes with its lever: 0.2 m below the sensor
-    assert abs(window.bias_covariance[0, 4]) == pytest.approx(0.2 * 0.2**2)
-    assert abs(window.bias_covariance[1, 3]) == pytest.approx(0.2 * 0.1**2)
 
 
 def test_the_bias_covariance_of_a_scale_is_its_own():
@@ -374,15 +353,6 @@ def test_standardised_window_means_have_unit_spread(rng: np.random.Generator):
         (window,) = steady_windows(turn_record(noisy, grasp=GRASP, pivot=PIVOT, count=1900))
         scores.append((window.wrench - WRENCH) / np.sqrt(np.diag(window.covariance)))
     assert np.std(scores) == pytest.approx(1.0, rel=0.15)
-
-
-def test_a_scale_gives_a_weight():
-    assert weight_of(weighing()) == pytest.approx(1.8)
-
-
-def weighing(**changes: Any) -> Trajectory:
-    reading = np.tile([0, 0, 1.8 * GRAVITY, 0, 0, 0], (5, 1))
-    return record(5, tare=0, action=Weigh(), tool=None, wrench_on_object_world=reading, **changes)
 
 
 FAILED: list[dict[str, Any]] = [{"status": status, "reason": "because"} for status in ("slipped", "limit", "fault")]

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from testbed.actions.path import minimum_jerk
+from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.toml import toml_text
 from testbed.trajectory import Phase, Trajectory
+from tests.helpers.records import series_of
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)
 """Mount of the sensor on the other robot's hand: upside down, and turned."""
@@ -109,8 +112,19 @@ def write_csv(path: Path, t: Trajectory, **more: Any) -> Path:
 
 def import_csv(folder: Path, t: Trajectory, mapping: dict[str, Any] | None = None, **more: Any) -> Trajectory:
     """A trajectory written as CSV, with more columns perhaps, and imported."""
-    asked = mapping_of(t) if mapping is None else mapping
-    return import_trajectory(write_csv(folder / "log.csv", t, **more), write_toml(folder / "map.toml", asked))
+    return imported(write_csv(folder / "log.csv", t, **more), mapping_of(t) if mapping is None else mapping)
+
+
+def imported(log: Path, mapping: dict[str, Any], **options: Any) -> Trajectory:
+    """A log by a mapping, which is written beside it."""
+    return import_trajectory(log, write_toml(log.with_name("map.toml"), mapping), **options)
+
+
+def refused(log: Path, mapping: dict[str, Any]) -> str:
+    """Error of the import of a log."""
+    with pytest.raises(HeftError) as error:
+        imported(log, mapping)
+    return str(error.value)
 
 
 def at_other_rates(t: Trajectory, sensor_hz: float, hand_hz: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -143,15 +157,14 @@ def strung(trials: Sequence[Trajectory], pose_noise: float = 0.0) -> Trajectory:
         trials: each from its tare to its last sample with the object.
         pose_noise: standard deviation of the TCP [m].
     """
-    series = [name for name, value in vars(trials[0]).items() if np.shape(value)[:1] == trials[0].time_s.shape]
     parts: list[dict[str, np.ndarray]] = []
     for trial in trials:
-        part = {name: np.array(getattr(trial, name)) for name in series}
+        part = series_of(trial)
         if parts:
             part = _lying_at(part, parts[-1]["object_pose"][-1])
             parts.append(_way(parts[-1], part))
         parts.append(part)
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in series}
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     whole["time_s"] = np.arange(len(whole["time_s"])) / 100
     whole["tcp_position"] += pose_noise * np.random.default_rng(0).standard_normal(whole["tcp_position"].shape)
     return replace(trials[0], **whole)

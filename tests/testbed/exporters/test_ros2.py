@@ -21,10 +21,9 @@ from testbed.sensing.link_windows import link_windows
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Trajectory
-from testbed.trial import Trial
 from testbed.worlds.setup_errors import SetupErrors
+from tests.helpers.simulated import clean
 
 pytest.importorskip("rosbags", reason="needs the extra robot")
 from mcap.reader import make_reader
@@ -77,11 +76,11 @@ def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
     """Frames at their own times, but for what was not seen: the windows are the same."""
     folded = Path("scenarios/library/objects/elbow.toml").resolve()
     name = "L2" if kind == "push" else str(folded)
-    action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=2.5)
-    model = load_object(name)
-    given = draw_sensing(SimulationRunner().run_clean(Trial(model, action)), preset("ft300s"), 1)
+    action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=3.0)
+    given = draw_sensing(clean(name, action), preset("ft300s"), 1)
     write_mcap(given, tmp_path / "trial.mcap")
-    (tmp_path / "trial.toml").write_text(mapping_text(given, model.shape, name, "trial.mcap"), encoding="utf-8")
+    text = mapping_text(given, load_object(name).shape, name, "trial.mcap")
+    (tmp_path / "trial.toml").write_text(text, encoding="utf-8")
     back = import_trajectory(tmp_path / "trial.mcap", tmp_path / "trial.toml")
     assert back.action == given.action
     read = push_windows if kind == "push" else link_windows

@@ -16,7 +16,6 @@ from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
-from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.importers.segments import find_segments
 from testbed.objects.files import load_object
@@ -27,11 +26,11 @@ from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import SteadyWindow
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
-from testbed.trial import Trial
-from tests.fakes.lab_bench import EPOCH, import_csv, mapping_of, phases_of, write_csv, write_toml
+from tests.fakes.lab_bench import EPOCH, import_csv, mapping_of, phases_of, refused, write_csv, write_toml
 from tests.fakes.mcap_log import write_messages
+from tests.helpers.records import series_of
+from tests.helpers.simulated import clean
 
 CAMERA = Rotation.from_euler("xyz", [170, 12, 40], degrees=True)
 """Camera over the table, that looks down on it."""
@@ -52,27 +51,17 @@ CAMERA_TABLE = {
 }
 FOLD = Path("scenarios/library/objects/elbow.toml").resolve()
 LINKS = "upper", "lower"
-CUT = (
-    *("phase", "segment", "object_pose", "object_velocity", "tcp_position", "tcp_velocity", "sensor_orientation"),
-    *("wrench_on_object_world", "joint_position"),
-)
-"""Arrays of a trajectory, but for its times and the sensor's wrench."""
 LABELED = {"object_m": BESIDE.tolist(), "object_wxyz": LABEL.as_quat(scalar_first=True).tolist()}
-
-
-def simulated(name: str, action: Push | Rotate) -> Trajectory:
-    clean = SimulationRunner().run_clean(Trial(load_object(str(FOLD) if name == "elbow" else name), action))
-    return draw_sensing(clean, preset("ft300s"), 3)
 
 
 @pytest.fixture(scope="module")
 def push() -> Trajectory:
-    return simulated("L2", Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06))
+    return draw_sensing(clean("L2", Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06)), preset("ft300s"), 3)
 
 
 @pytest.fixture(scope="module")
 def fold() -> Trajectory:
-    return simulated("elbow", Rotate(0, duration=3.0))
+    return draw_sensing(clean(str(FOLD), Rotate(0, duration=3.0)), preset("ft300s"), 3)
 
 
 def labels(t: Trajectory, part: int) -> tuple[np.ndarray, np.ndarray, Rotation]:
@@ -173,17 +162,15 @@ def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):
     """The log begins after the tare, whose mean is already subtracted."""
     assert push.camera is not None and push.tool is not None
     begin = int(np.flatnonzero(push.segment >= 0)[0]) - 30
-    kept = slice(begin, None)
-    arrays = {name: getattr(push, name)[kept] for name in CUT}
-    stamps = push.time_s[kept] - push.time_s[begin]
-    camera = replace(push.camera, time_s=push.camera.time_s - push.time_s[begin])
-    read = push.sensor_wrench - push.sensor_wrench[tare_samples(push)].mean(axis=0)
-    cut = replace(push, time_s=stamps, camera=camera, **arrays | {"sensor_wrench": read[kept]})
+    start = float(push.time_s[begin])
+    kept = series_of(push, slice(begin, None))
+    kept["time_s"] -= start
+    kept["sensor_wrench"] -= push.sensor_wrench[tare_samples(push)].mean(axis=0)
+    cut = replace(push, camera=replace(push.camera, time_s=push.camera.time_s - start), **kept)
     mapping = mapping_with(cut, "L2", [part_of(write_frames(tmp_path / "frames.csv", cut))])
-    assert "no tare" in refused(tmp_path, cut, mapping)
+    assert "no tare" in refused(write_csv(tmp_path / "log.csv", cut), mapping)
     mapping["sensor"]["zeroed"] = True
     assert len(push_windows(import_csv(tmp_path, cut, mapping))) == len(push_windows(push))
-    start = float(push.time_s[begin])
     steady = [
         {"phase": "steady", "from_s": phase["from_s"] - start, "to_s": phase["to_s"] - start}
         for phase in phases_of(push)
@@ -199,7 +186,7 @@ def test_each_log_may_name_its_frames(push: Trajectory, tmp_path: Path):
     named = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv"]}]}
     same_frames(import_csv(tmp_path, push, named).camera, push.camera)
     several = mapping | {"logs": [{"file": "log.csv", "camera_files": ["frames.csv", "frames.csv"]}]}
-    assert "a file for each of 1 parts" in refused(tmp_path, push, several)
+    assert "a file for each of 1 parts" in refused(tmp_path / "log.csv", several)
 
 
 @pytest.mark.slow
@@ -249,7 +236,7 @@ def test_labels_come_as_messages_and_as_a_tree(fold: Trajectory, tmp_path: Path)
     parts = [upper, lower | {"frame": "lover"}]
     mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": parts})
     wrong = "camera.parts.1.frame: got 'lover'; allowed: one of camera, lower, upper (nearest: lower)"
-    assert wrong in refused(tmp_path, fold, mapping)
+    assert wrong in refused(tmp_path / "log.csv", mapping)
 
 
 def transform(place: np.ndarray, turned: Rotation) -> dict[str, Any]:
@@ -268,41 +255,33 @@ def message(topic: str, kind: str, time: float, content: dict[str, Any]) -> tupl
     return topic, kind, round((EPOCH + time) * 1e9), json.dumps(content).encode()
 
 
-def refused(folder: Path, t: Trajectory, mapping: dict[str, Any]) -> str:
-    with pytest.raises(HeftError) as error:
-        import_csv(folder, t, mapping)
-    return str(error.value)
-
-
 def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_path: Path):
-    part = part_of(write_frames(tmp_path / "frames.csv", push))
+    part, log = part_of(write_frames(tmp_path / "frames.csv", push)), write_csv(tmp_path / "push.csv", push)
     upright = (LABEL * Rotation.from_euler("x", 180, degrees=True)).as_quat(scalar_first=True).tolist()
     for mapping, error in (
         (mapping_of(push), "camera: got None; allowed: the poses of a pushed object"),
         (mapping_with(push, "L2", [part, part]), "camera.parts: got '2 tables'; allowed: one, of a rigid object"),
         (mapping_with(push, "L2", []), "camera.parts"),
         (mapping_with(push, "L2", [part], in_base_m=[0.3, -0.24, 0.9]), "from the fingertip that pushes it"),
-        (
-            mapping_with(push, "L2", [part | {"object_wxyz": upright}]),
-            "from the base's",
-        ),
+        (mapping_with(push, "L2", [part | {"object_wxyz": upright}]), "from the base's"),
         (mapping_with(push, "L2", [part | {"object_wxyz": [1.0, 1.0, 0.0, 0.0]}]), "a unit quaternion"),
         (mapping_with(push, "L2", [part | {"position": ["x", "y"]}]), "x and y with orientation_as"),
         (mapping_with(push, "L2", [part | {"orientation_as": "yaw"}]), "1 column for yaw"),
         (mapping_with(push, "L2", [part], delay_s=-100.0), "camera.parts.0: no frame during the trial"),
         (mapping_of(push, object="L2", action=push.action.to_dict() | {"point": [0.0, 0.2]}), "a point of the outline"),
     ):
-        assert error in refused(tmp_path, push, mapping)
+        assert error in refused(log, mapping)
     links = [part_of(write_frames(tmp_path / f"link_{i}.csv", fold, i)) for i in range(2)]
+    log = write_csv(tmp_path / "fold.csv", fold)
     for mapping, error in (
         (mapping_of(fold, object=str(FOLD)), "camera: got None; allowed: the poses of 2 links"),
         (mapping_with(fold, str(FOLD), links[:1]), "allowed: 2, one per link"),
         (mapping_with(fold, str(FOLD), links[::-1]), "from where the hand has it"),
     ):
-        assert error in refused(tmp_path, fold, mapping)
+        assert error in refused(log, mapping)
 
 
 def test_a_hand_by_its_yaw_alone_is_refused(push: Trajectory, tmp_path: Path):
     mapping = mapping_of(push)
     mapping["hand"] |= {"orientation": ["qz"], "orientation_as": "yaw", "position": ["px", "py"]}
-    assert "a hand's yaw alone does not determine its tilt" in refused(tmp_path, push, mapping)
+    assert "a hand's yaw alone does not determine its tilt" in refused(write_csv(tmp_path / "log.csv", push), mapping)

@@ -16,24 +16,19 @@ from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory
 from testbed.importers.logs import FACTORS, LogError, Series, factor
 from testbed.importers.phases import common_base, resampled, resampled_rotation
-from testbed.objects.files import load_object
 from testbed.sensing.compensation import compensate
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.sensing.series import interpolated
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory
-from testbed.trial import Trial
 from tests.fakes.lab_bench import at_other_rates, mapping_of, phases_of, write_toml
+from tests.helpers.simulated import clean
 
 
 @pytest.fixture(scope="module")
 def turns() -> list[Trajectory]:
-    runner = SimulationRunner()
-    return [
-        compensate(draw_sensing(runner.run_clean(Trial(load_object("L2"), Accelerate(grasp))), preset("ft300s"), grasp))
-        for grasp in (1, 3)
-    ]
+    drawn = [draw_sensing(clean("L2", Accelerate(grasp)), preset("ft300s"), grasp) for grasp in (1, 3)]
+    return [compensate(turn) for turn in drawn]
 
 
 def written(folder: Path, turns: list[Trajectory], late: float, **sensor: Any) -> Path:

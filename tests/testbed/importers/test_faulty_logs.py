@@ -1,5 +1,6 @@
 """Logs with values that look like data and are none, and tables in the ways that people save them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,13 @@ from numpy.testing import assert_allclose
 from estimators.testing.recorded import load_block
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
-from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError, Series
 from testbed.importers.phases import MOST_LEFT_OUT, without_faults
 from testbed.robot.calibration.recorded_poses import recorded_poses
-from testbed.robot.calibration.static_poses import CalibrationError, calibrate
+from testbed.robot.calibration.static_poses import CalibrationError, StaticPose, calibrate
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
-from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
+from tests.fakes.lab_bench import imported, mapping_of, write_csv
 from tests.fakes.static_hand import POSES, off, recorded
 
 TURN = load_block("L2-own_weight").trials("ft300s", 0)[-1]
@@ -28,10 +28,6 @@ def logged(folder: Path, **changes: object) -> tuple[Path, dict[str, object], pd
     """The turn's table as CSV, its mapping and its values."""
     path = write_csv(folder / "log.csv", TURN)
     return path, mapping_of(TURN, joints=None, **changes), pd.read_csv(path)
-
-
-def read(path: Path, mapping: dict[str, object]) -> Trajectory:
-    return import_trajectory(path, write_toml(path.with_name("map.toml"), mapping))
 
 
 def agree(found: Trajectory, within: float = 0.02) -> None:
@@ -49,11 +45,11 @@ def test_lost_frames_and_spikes_are_left_out_and_named(tmp_path: Path):
     struck = np.setdiff1d(np.arange(600, 900, 60), lost)
     table.loc[struck, "fx"] += 8.0  # 80 N
     table.to_csv(path, index=False)
-    found = read(path, mapping)
+    found = imported(path, mapping)
     said = found.provenance["left out"]
     assert f"{len(lost)} samples of six zeros; {len(struck)} spikes of fx at 6.00, " in said
     agree(found)
-    assert "left out" not in read(write_csv(path, TURN), mapping).provenance
+    assert "left out" not in imported(write_csv(path, TURN), mapping).provenance
 
 
 def test_more_than_some_lost_frames_or_zeros_alone_are_refused():
@@ -82,9 +78,9 @@ def test_a_torque_about_the_tcp_is_moved_to_the_sensor(tmp_path: Path):
     table.to_csv(path, index=False)
     sensor = mapping["sensor"]
     assert isinstance(sensor, dict)
-    agree(read(path, mapping | {"sensor": sensor | {"torque_about": "tcp"}}))
+    agree(imported(path, mapping | {"sensor": sensor | {"torque_about": "tcp"}}))
     with pytest.raises(AssertionError):
-        agree(read(path, mapping))
+        agree(imported(path, mapping))
 
 
 def test_joints_that_wrap_at_a_turn_are_unwrapped(tmp_path: Path):
@@ -93,33 +89,31 @@ def test_joints_that_wrap_at_a_turn_are_unwrapped(tmp_path: Path):
     for i, name in enumerate(names):
         table[name] = (350.0 + 0.06 * (i + 1) * np.arange(len(table))) % 360
     table.iloc[::2].assign(stamp=table["stamp"].iloc[::2] + 3.0).to_csv(path, index=False)
-    found = read(path, mapping_of(TURN, joints={"position": names, "unit": "deg"}))
+    found = imported(path, mapping_of(TURN, joints={"position": names, "unit": "deg"}))
     assert np.abs(np.diff(np.degrees(found.joint_position), axis=0)).max() < 0.5
 
 
-@pytest.mark.parametrize("coding", ["utf-8-sig", "utf-16", "utf-8"])
-def test_tables_are_read_as_people_save_them(coding: str, tmp_path: Path):
-    path, mapping, table = logged(tmp_path)
-    text = table.to_csv(index=False, sep="\t", decimal=",", lineterminator="\r\n")
-    path.write_bytes(text.encode(coding))
-    agree(read(path, mapping | {"separator": "\t", "decimal": ","}))
-    with pytest.raises(HeftError, match=r'has no separator ","; allowed: .* separator = "\\t"'):
-        read(path, mapping)
-
-
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("end", "separator"), [("\r", "\t"), ("\n", r"\s+"), ("\n", "[\t;]")])
-def test_any_line_end_and_a_pattern_of_separators_are_read(end: str, separator: str, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("coding", "end", "decimal", "separator"),
+    [
+        *((coding, "\r\n", ",", "\t") for coding in ("utf-8-sig", "utf-16", "utf-8")),
+        *(("utf-8", end, ".", separator) for end, separator in (("\r", "\t"), ("\n", r"\s+"), ("\n", "[\t;]"))),
+    ],
+)
+def test_tables_are_read_as_people_save_them(coding: str, end: str, decimal: str, separator: str, tmp_path: Path):
     path, mapping, table = logged(tmp_path)
-    path.write_bytes(table.to_csv(index=False, sep="\t", lineterminator=end).encode())
-    agree(read(path, mapping | {"separator": separator}))
+    path.write_bytes(table.to_csv(index=False, sep="\t", decimal=decimal, lineterminator=end).encode(coding))
+    agree(imported(path, mapping | {"separator": separator, "decimal": decimal}))
+    with pytest.raises(HeftError, match=r'has no separator ","; allowed: .* separator = "\\t"'):
+        imported(path, mapping)
 
 
 def test_a_table_without_names_has_numbered_columns(tmp_path: Path):
     path, mapping, table = logged(tmp_path)
     table.to_csv(path, index=False, header=False)
     with pytest.raises(HeftError, match=r"no header: line 1 holds numbers alone; allowed: .*header = false"):
-        read(path, mapping)
+        imported(path, mapping)
     number = {name: str(index) for index, name in enumerate(table, 1)}
 
     def numbered(value: object) -> object:
@@ -129,24 +123,24 @@ def test_a_table_without_names_has_numbered_columns(tmp_path: Path):
             return [numbered(each) for each in value]
         return number.get(value, value) if isinstance(value, str) else value
 
-    agree(read(path, {k: numbered(v) for k, v in mapping.items()} | {"header": False}))
+    agree(imported(path, {k: numbered(v) for k, v in mapping.items()} | {"header": False}))
 
 
 def test_what_cannot_be_read_says_why(tmp_path: Path):
     path, mapping, table = logged(tmp_path)
     path.write_bytes(table.rename(columns={"qw": "W\u00e4rme"}).to_csv(index=False).encode("latin-1"))
     with pytest.raises(HeftError, match=r"line 1: byte 0xe4 is not UTF-8; save the table as UTF-8"):
-        read(path, mapping)
+        imported(path, mapping)
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", encoding="ascii")
     with pytest.raises(HeftError, match="git lfs pull"):
-        read(path, mapping)
+        imported(path, mapping)
     table.iloc[::10].to_csv(path, index=False)
     with pytest.raises(HeftError, match=r"silent for 0\.1 s .* allowed: 0\.05 s"):
-        read(path, mapping | {"longest_gap_s": 0.05})
+        imported(path, mapping | {"longest_gap_s": 0.05})
     slow = table["stamp"].iloc[0] + 1.0002 * (table["stamp"] - table["stamp"].iloc[0])
     table.assign(stamp=slow).iloc[::10].to_csv(path, index=False)
     with pytest.raises(HeftError, match=r"silent for 0\.10002 s .* allowed: 0\.1 s"):
-        read(path, mapping | {"longest_gap_s": 0.1})
+        imported(path, mapping | {"longest_gap_s": 0.1})
 
 
 def changed(folder: Path, change) -> tuple[Path, Path]:
@@ -157,14 +151,10 @@ def changed(folder: Path, change) -> tuple[Path, Path]:
     return log, mapping
 
 
-def columns_of(table: pd.DataFrame, first: str) -> list[str]:
-    return [name for name in table if str(name).startswith(first)]
-
-
 def test_lost_frames_do_not_count_in_a_calibration(tmp_path: Path):
     def lose(table: pd.DataFrame) -> pd.DataFrame:
         rows = np.random.default_rng(0).random(len(table)) < 0.05
-        table.loc[rows, [*columns_of(table, "f"), *columns_of(table, "t")[-3:]]] = 0.0
+        table.loc[rows, WRENCH] = 0.0
         return table
 
     poses, said = recorded_poses(*changed(tmp_path, lose))
@@ -180,51 +170,48 @@ def test_rests_that_are_interpolated_are_no_poses(tmp_path: Path):
         recorded_poses(log, mapping)
 
 
-@pytest.mark.parametrize("unit", [1e3, 1e2])
-def test_a_tool_that_would_be_meters_away_names_the_unit(unit: float, tmp_path: Path):
-    poses, _ = recorded_poses(*recorded(tmp_path))
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory: pytest.TempPathFactory) -> list[StaticPose]:
+    return recorded_poses(*recorded(tmp_path_factory.mktemp("static")))[0]
+
+
+def in_unit(pose: StaticPose, unit: float) -> StaticPose:
+    """The pose with its torques in another unit [N m]."""
     scale = np.repeat([1.0, unit], 3)
-    far = [type(p)(p.hand, scale * p.wrench, scale * p.standard_error) for p in poses]
-    with pytest.raises(CalibrationError, match=r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"):
-        calibrate(far)
+    return replace(pose, wrench=scale * pose.wrench, standard_error=scale * pose.standard_error)
+
+
+FAR = r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda hand: np.roll(hand, 1), "quaternions in another order"),
-        (lambda hand: np.roll(hand, -1), "quaternions in another order"),
-        (lambda hand: hand * [1, -1, -1, -1], "their inverse: of the base in the hand"),
+        (lambda pose: in_unit(pose, 1e3), FAR),
+        (lambda pose: in_unit(pose, 1e2), FAR),
+        (lambda pose: replace(pose, hand=np.roll(pose.hand, 1)), "quaternions in another order"),
+        (lambda pose: replace(pose, hand=np.roll(pose.hand, -1)), "quaternions in another order"),
+        (lambda pose: replace(pose, hand=pose.hand * [1, -1, -1, -1]), "their inverse: of the base in the hand"),
+        (lambda pose: replace(pose, wrench=pose.wrench * [1, -1, 1, 1, 1, 1]), "axes of one handedness"),
     ],
 )
-def test_another_reading_of_orientations_is_named(change, words: str, tmp_path: Path):
-    poses, _ = recorded_poses(*recorded(tmp_path))
+def test_poses_in_other_units_orders_or_axes_are_named(change, words: str, poses: list[StaticPose]):
     with pytest.raises(CalibrationError, match=words):
-        calibrate([type(p)(change(p.hand), p.wrench, p.standard_error) for p in poses])
+        calibrate([change(pose) for pose in poses])
 
 
 def test_a_stuck_component_is_named_in_a_calibration(tmp_path: Path):
-    def stick(table: pd.DataFrame) -> pd.DataFrame:
-        return table.assign(fy=1.25)
-
     with pytest.raises(LogError, match=r"fy is 1\.25 in all samples"):
-        recorded_poses(*changed(tmp_path, stick))
+        recorded_poses(*changed(tmp_path, lambda table: table.assign(fy=1.25)))
 
 
 def test_a_pose_that_freezes_amid_a_turn_is_a_gap(tmp_path: Path):
     turn = next(t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate))
-    log, mapping = write_csv(tmp_path / "log.csv", turn), write_toml(tmp_path / "map.toml", mapping_of(turn))
+    log = write_csv(tmp_path / "log.csv", turn)
     table = pd.read_csv(log)
     at = int(np.flatnonzero(turn.segment == 0)[40])
     pose = [name for name in table if str(name)[0] in "pq"]
     table.loc[at : at + 20, pose] = table.loc[at, pose].to_numpy()
     table.to_csv(log, index=False)
     with pytest.raises(LogError, match=r"silent for 0\.21 s at .*repeated ones"):
-        import_trajectory(log, mapping)
-
-
-def test_axes_of_two_handednesses_are_named(tmp_path: Path):
-    poses, _ = recorded_poses(*recorded(tmp_path))
-    mirrored = [type(p)(p.hand, p.wrench * [1, -1, 1, 1, 1, 1], p.standard_error) for p in poses]
-    with pytest.raises(CalibrationError, match="axes of one handedness"):
-        calibrate(mirrored)
+        imported(log, mapping_of(turn))

@@ -22,47 +22,46 @@ from testbed.objects.files import load_object
 from testbed.sensing.compensation import compensate
 from testbed.sensing.presets import preset
 from testbed.sensing.windows import steady_windows
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
-from testbed.trial import Trial
 from tests.fakes.lab_bench import (
     EPOCH,
     at_other_rates,
     columns,
     import_csv,
+    imported,
     mapping_of,
     phases_of,
+    refused,
     write_csv,
     write_joined_csv,
     write_toml,
 )
 from tests.fakes.mcap_log import write_messages
+from tests.helpers.records import series_of
+from tests.helpers.simulated import clean
 
 TURN = Rotate(2, duration=2.0, pivot=(-0.0333, 0.025), back=True)
 
 
-def simulated(action: Rotate | Slide | Accelerate) -> Trajectory:
-    return compensate(SimulationRunner().run_clean(Trial(load_object("L2"), action)))
-
-
 @pytest.fixture(scope="module")
 def turn() -> Trajectory:
-    return simulated(TURN)
+    return compensate(clean("L2", TURN))
 
 
 @pytest.fixture(scope="module")
 def slide() -> Trajectory:
-    return simulated(Slide(1, direction=0.4, duration=2.0))
+    return compensate(clean("L2", Slide(1, direction=0.4, duration=2.0)))
 
 
 @pytest.fixture(scope="module")
-def imported(turn: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
+def back(turn: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
+    """The turn, written and imported."""
     return import_csv(tmp_path_factory.mktemp("log"), turn)
 
 
-def windows_agree(imported: Trajectory, original: Trajectory, part: float) -> None:
+def windows_agree(found: Trajectory, original: Trajectory, part: float) -> None:
     """Steady wrenches agree within a part of the drag, 1 % of it in meters for torque."""
-    ours, theirs = steady_windows(imported), steady_windows(original)
+    ours, theirs = steady_windows(found), steady_windows(original)
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs, strict=True):
         scale = part * np.linalg.norm(b.wrench[:2]) * np.array([1, 1, 1, 0.05, 0.05, 0.05])
@@ -71,35 +70,32 @@ def windows_agree(imported: Trajectory, original: Trajectory, part: float) -> No
         assert_allclose(a.tcp_height, b.tcp_height, atol=1e-4)
 
 
-def test_every_column_comes_back(imported: Trajectory, turn: Trajectory):
-    assert imported.action == turn.action
-    for name, tolerance in (
-        ("time_s", 1e-9),
-        ("tcp_position", 1e-6),
-        ("sensor_wrench", 1e-3),
-        ("joint_position", 1e-6),
-    ):
-        assert_allclose(getattr(imported, name), getattr(turn, name), atol=tolerance, err_msg=name)
-    same = np.abs(np.sum(imported.sensor_orientation * turn.sensor_orientation, axis=1))
+def same_orientation(found: Trajectory, original: Trajectory) -> None:
+    same = np.abs(np.sum(found.sensor_orientation * original.sensor_orientation, axis=1))
     assert_allclose(same, 1.0, atol=1e-9)
+
+
+def test_every_column_comes_back(back: Trajectory, turn: Trajectory):
+    assert back.action == turn.action
+    within = {"time_s": 1e-9, "tcp_position": 1e-6, "sensor_wrench": 1e-3, "joint_position": 1e-6}
+    for name, tolerance in within.items():
+        assert_allclose(getattr(back, name), getattr(turn, name), atol=tolerance, err_msg=name)
+    same_orientation(back, turn)
     held = turn.mask(Phase.STEADY)
-    assert_allclose(imported.object_pose[held], turn.object_pose[held], atol=1e-3)
-    assert_allclose(imported.tcp_velocity[held], turn.tcp_velocity[held], atol=5e-3)
-    assert_allclose(imported.object_velocity[held], turn.object_velocity[held], atol=5e-3)
-    off = imported.wrench_on_object_world[held] - turn.wrench_on_object_world[held]
+    for name, tolerance in {"object_pose": 1e-3, "tcp_velocity": 5e-3, "object_velocity": 5e-3}.items():
+        assert_allclose(getattr(back, name)[held], getattr(turn, name)[held], atol=tolerance, err_msg=name)
+    off = back.wrench_on_object_world[held] - turn.wrench_on_object_world[held]
     assert (np.abs(off) < [5e-3, 5e-3, 5e-3, 5e-4, 5e-4, 5e-4]).all()
 
 
-def test_provenance_names_the_source_and_is_saved(imported: Trajectory, tmp_path: Path):
-    assert imported.provenance["runner"] == "import"
-    assert imported.provenance["object"] == "L2"
-    assert imported.provenance["log"] == "log.csv"
-    assert imported.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
-    assert imported.figures["bias_before_fx_N"] == pytest.approx(0.0, abs=0.1)
-    assert_allclose(imported.sensor_drift_std, preset("ft300s").drift_std)
-    assert "assumed, for want of a second tare: 0.005 N" in imported.provenance["drift"]
-    save_trajectory(imported, tmp_path / "t.parquet")
-    assert load_trajectory(tmp_path / "t.parquet").provenance == imported.provenance
+def test_provenance_names_the_source_and_is_saved(back: Trajectory, tmp_path: Path):
+    source = {"runner": "import", "object": "L2", "log": "log.csv", "recorded": "2026-01-01T00:00:00.000+00:00"}
+    assert source.items() <= back.provenance.items()
+    assert back.figures["bias_before_fx_N"] == pytest.approx(0.0, abs=0.1)
+    assert_allclose(back.sensor_drift_std, preset("ft300s").drift_std)
+    assert "assumed, for want of a second tare: 0.005 N" in back.provenance["drift"]
+    save_trajectory(back, tmp_path / "t.parquet")
+    assert load_trajectory(tmp_path / "t.parquet").provenance == back.provenance
 
 
 @pytest.mark.parametrize("which", ["turn", "slide"])
@@ -120,16 +116,14 @@ def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureReq
 def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path: Path):
     """The hand goes up again where it came down, and its sensor has drifted by then."""
     approach = np.flatnonzero(turn.phase <= Phase.APPROACH)[::-1]
-    turned = {
-        n: np.concatenate([v, v[approach]]) for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape
-    }
-    turned["tcp_position"][len(turn.time_s) :, :2] = turn.tcp_position[-1, :2]
-    turned["sensor_orientation"][len(turn.time_s) :] = turn.sensor_orientation[-1]
-    turned["tcp_velocity"][len(turn.time_s) :] = 0.0
+    turned = series_of(turn, np.append(np.arange(len(turn.time_s)), approach))
+    up = slice(len(turn.time_s), None)
+    turned["tcp_position"][up, :2] = turn.tcp_position[-1, :2]
+    turned["sensor_orientation"][up] = turn.sensor_orientation[-1]
+    turned["tcp_velocity"][up] = 0.0
     turned["time_s"] = np.arange(len(turned["time_s"])) / 100
-    turned["sensor_wrench"][len(turn.time_s) :] += [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
-    longer = replace(turn, **turned)
-    again = import_csv(tmp_path, longer)
+    turned["sensor_wrench"][up] += [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
+    again = import_csv(tmp_path, replace(turn, **turned))
     assert again.phase[-1] == Phase.TARE
     assert again.figures["drift_N"] == pytest.approx(0.5, abs=0.1)
     seconds = again.time_s[-1] - 0.5  # between the ends of the two tares
@@ -139,7 +133,7 @@ def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path:
 
 
 def test_phases_can_be_given(tmp_path: Path):
-    original = simulated(Accelerate(1))
+    original = compensate(clean("L2", Accelerate(1)))
     given = import_csv(tmp_path, original, mapping_of(original, phases=phases_of(original)))
     assert np.array_equal(given.segment, original.segment)
     windows_agree(given, original, 0.05)
@@ -150,8 +144,7 @@ def test_phases_can_be_given(tmp_path: Path):
 @pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(100.0, 40.0), (62.5, 100.0), (1000.0, 500.0)])
 def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz: float, hand_hz: float):
     path = write_joined_csv(tmp_path / "log.csv", *at_other_rates(turn, sensor_hz, hand_hz))
-    asked = mapping_of(turn, time={"column": "stamp"})
-    found = import_trajectory(path, write_toml(tmp_path / "map.toml", asked))
+    found = imported(path, mapping_of(turn, time={"column": "stamp"}))
     assert_allclose(np.diff(found.time_s), 0.01, atol=1e-12)
     windows_agree(found, turn, 0.03)
 
@@ -181,16 +174,10 @@ def of_mcap(turn: Trajectory) -> dict[str, Any]:
     return asked
 
 
-def refused(log: Path, mapping: dict[str, Any]) -> str:
-    with pytest.raises(HeftError) as error:
-        import_trajectory(log, write_toml(log.parent / "map.toml", mapping))
-    return str(error.value)
-
-
 def test_an_mcap_comes_back_and_its_errors_name_the_nearest(turn: Trajectory, tmp_path: Path):
     sensor, hand = at_other_rates(turn, 100.0, 40.0)
     path, mapping = write_mcap(tmp_path / "log.mcap", sensor, hand), of_mcap(turn)
-    windows_agree(import_trajectory(path, write_toml(tmp_path / "map.toml", mapping)), turn, 0.03)
+    windows_agree(imported(path, mapping), turn, 0.03)
     for change, error in (
         ({"topic": "/fts"}, "log.mcap: sensor.force, sensor.torque.topic: got '/fts'; allowed: one of /arm, /ft"),
         ({"force": ["wrench.forces.x", "wrench.force.y", "wrench.force.z"]}, "(nearest: wrench.force.x)"),
@@ -273,8 +260,8 @@ def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
         ("none.csv", "an existing file (.csv"),
     ):
         assert error in refused(tmp_path / name, mapping)
-    late = {n: v[~turn.mask(Phase.TARE)] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
-    assert "phases: no tare" in refused(write_csv(tmp_path / "log.csv", replace(turn, **late)), mapping)
+    late = replace(turn, **series_of(turn, ~turn.mask(Phase.TARE)))
+    assert "phases: no tare" in refused(write_csv(tmp_path / "log.csv", late), mapping)
 
 
 def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Trajectory, tmp_path: Path):
@@ -296,11 +283,10 @@ def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Tr
     assert "got 1 samples at different times" in refused(tmp_path / "wrong.csv", mapping)
     header, rest = path.read_text().split("\n", 1)
     (tmp_path / "wrong.csv").write_text(header.replace("fy", "fx") + "\n" + rest)
-    lines = refused(tmp_path / "wrong.csv", mapping)
-    assert "fx: 2 columns have this name; allowed: one" in lines
+    assert "fx: 2 columns have this name; allowed: one" in refused(tmp_path / "wrong.csv", mapping)
     coarse = table.assign(**{name: table[name].round(1) for name in ("fx", "fy", "fz")})  # a sensor of few counts
     coarse.to_csv(path, index=False)
-    assert import_trajectory(path, write_toml(tmp_path / "map.toml", mapping)).ok
+    assert imported(path, mapping).ok
 
 
 def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path: Path):
@@ -308,9 +294,9 @@ def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path
     table = pd.read_csv(path)
     text = table.to_csv(index=False, sep=";", decimal=",")
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace("\n", "\n# a mark\n", 40), encoding="utf-8")
-    there = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping))
+    there = imported(path, mapping)
     mapping |= {"separator": ";", "decimal": ","}
-    again = import_trajectory(tmp_path / "log.txt", write_toml(tmp_path / "map.toml", mapping))
+    again = imported(tmp_path / "log.txt", mapping)
     assert_allclose(again.sensor_wrench, there.sensor_wrench, atol=1e-12)
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
     assert "line 3: " in refused(tmp_path / "log.txt", mapping)
@@ -365,8 +351,7 @@ def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: P
     lines.insert(50, "")
     lines.insert(80, lines[79])
     path.write_text("\n".join(lines) + "\n")
-    again = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping_of(turn)))
-    assert_allclose(again.sensor_wrench, turn.sensor_wrench, atol=1e-3)
+    assert_allclose(imported(path, mapping_of(turn)).sensor_wrench, turn.sensor_wrench, atol=1e-3)
 
 
 def test_orientations_come_as_vectors_or_angles_too(turn: Trajectory, tmp_path: Path):
@@ -378,26 +363,20 @@ def test_orientations_come_as_vectors_or_angles_too(turn: Trajectory, tmp_path: 
         mapping = mapping_of(turn)
         names = [f"{letter}{i}" for i in range(3)]
         mapping["hand"] |= {"orientation": names, "orientation_as": kind, "angle_unit": "deg"}
-        again = import_csv(tmp_path, turn, mapping, **more)
-        same = np.abs(np.sum(again.sensor_orientation * turn.sensor_orientation, axis=1))
-        assert_allclose(same, 1.0, atol=1e-9)
+        same_orientation(import_csv(tmp_path, turn, mapping, **more), turn)
 
 
-def test_a_grasp_has_a_number_or_a_name(imported: Trajectory, turn: Trajectory, tmp_path: Path):
+def test_a_grasp_has_a_number_or_a_name(back: Trajectory, turn: Trajectory, tmp_path: Path):
     name = load_object("L2").shape.grasps[TURN.grasp].name
     again = import_csv(tmp_path, turn, mapping_of(turn, action=turn.action.to_dict() | {"grasp": name}))
     assert again.action == turn.action
-    assert_allclose(again.object_pose, imported.object_pose, atol=1e-12)
+    assert_allclose(again.object_pose, back.object_pose, atol=1e-12)
 
 
 def test_a_logged_velocity_is_used(turn: Trajectory, tmp_path: Path):
     names = {f"v{i}": (1e3 if i < 3 else 180 / np.pi) * turn.tcp_velocity[:, i] for i in range(6)}
-    velocity = {
-        "linear": ["v0", "v1", "v2"],
-        "angular": ["v3", "v4", "v5"],
-        "linear_unit": "mm/s",
-        "angular_unit": "deg/s",
-    }
+    velocity = {"linear": ["v0", "v1", "v2"], "linear_unit": "mm/s"}
+    velocity |= {"angular": ["v3", "v4", "v5"], "angular_unit": "deg/s"}
     again = import_csv(tmp_path, turn, mapping_of(turn, velocity=velocity, joints=None), **names)
     assert_allclose(again.tcp_velocity, turn.tcp_velocity, atol=1e-5)
     assert again.provenance["velocity"] == "as logged"
@@ -440,5 +419,4 @@ def test_an_object_beside_the_mapping_is_found(turn: Trajectory, tmp_path: Path)
     (tmp_path / "mine.toml").write_text(
         'name = "mine"\n[blocks]\nlayout = ["1", "1", "1", "111"]\nmass_kg = 0.3\n', encoding="utf-8"
     )
-    mapping = write_toml(tmp_path / "map.toml", mapping_of(turn, object="mine.toml"))
-    assert import_trajectory(write_csv(tmp_path / "log.csv", turn), mapping).provenance["object"] == "mine"
+    assert import_csv(tmp_path, turn, mapping_of(turn, object="mine.toml")).provenance["object"] == "mine"

@@ -11,33 +11,29 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.testing.recorded import KnownBlock, load_block
+from estimators.testing.recorded import load_block
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import HeftError, InvalidValueError
-from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import LogMap
 from testbed.importers.phases import linear_stretches, phases_from_motion
 from testbed.importers.segments import Segment, find_segments
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory
-from tests.fakes.lab_bench import columns, entry_of, import_csv, mapping_of, strung, write_csv, write_toml
+from tests.fakes.lab_bench import columns, entry_of, import_csv, imported, mapping_of, strung, write_csv, write_toml
+from tests.helpers.records import series_of
 
-SHAPE = load_block("L2-own_weight").model.shape
+BLOCK = load_block("L2-own_weight")
+SHAPE = BLOCK.model.shape
 NOISE = 1e-5
 """Standard deviation of the logged position [m]."""
 
 
 @pytest.fixture(scope="module")
-def block() -> KnownBlock:
-    return load_block("L2-own_weight")
-
-
-@pytest.fixture(scope="module")
-def trials(block: KnownBlock) -> list[Trajectory]:
-    return block.trials("ft300s")
+def trials() -> list[Trajectory]:
+    return BLOCK.trials("ft300s")
 
 
 def slid(turn: Trajectory) -> Trajectory:
@@ -71,10 +67,10 @@ def found(trials: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) ->
     return find_segments(*written(tmp_path_factory.mktemp("long"), recording))
 
 
-def test_actions_come_back(found: list[Segment], trials: list[Trajectory], block: KnownBlock):
+def test_actions_come_back(found: list[Segment], trials: list[Trajectory]):
     actions = [segment for segment in found if segment.action]
     assert [segment.kind for segment in actions] == ["accelerated turn", "turn", "slide", "turn"]
-    names = [grasp.name for grasp in block.model.shape.grasps]
+    names = [grasp.name for grasp in SHAPE.grasps]
     assert [segment.grasps for segment in actions] == [(names[i],) for i in (1, 4, 1, 0)]
     accelerated, turn, slide, last = (segment.action for segment in actions)
     assert isinstance(accelerated, Accelerate)
@@ -108,9 +104,7 @@ def test_stretches_come_back(found: list[Segment], trials: list[Trajectory]):
 def test_one_grasp_may_hold_for_two_actions(trials: list[Trajectory], tmp_path: Path):
     """The second has the tare of the first, and its own phases."""
     turn = trials[3]
-    held = turn.phase > Phase.GRASP
-    again = {n: v[held] for n, v in vars(turn).items() if np.shape(v)[:1] == turn.time_s.shape}
-    both = {name: np.concatenate([getattr(turn, name), values]) for name, values in again.items()}
+    both = series_of(turn, np.append(np.arange(len(turn.time_s)), np.flatnonzero(turn.phase > Phase.GRASP)))
     both["time_s"] = np.arange(len(both["time_s"])) / 100
     log, mapping = written(tmp_path, replace(turn, **both))
     first, second = [segment for segment in find_segments(log, mapping, ["A4"]) if segment.action]
@@ -139,10 +133,8 @@ def test_a_hand_turned_round_is_noticed(trials: list[Trajectory], tmp_path: Path
     begin, end = segment.trial
     closing = table["hand"]["closing_deg"] + 180
     entry = LogMap(file="log.csv", from_s=begin, to_s=end, closing_deg=closing)
-    again = import_trajectory(log, write_toml(tmp_path / "one.toml", table), entry=entry)
-    alone = import_trajectory(write_csv(tmp_path / "one.csv", turn), write_toml(tmp_path / "one.toml", table))
-    pairs = zip(steady_windows(again), steady_windows(alone), strict=True)
-    for one, two in pairs:
+    again, alone = imported(log, table, entry=entry), imported(write_csv(tmp_path / "one.csv", turn), table)
+    for one, two in zip(steady_windows(again), steady_windows(alone), strict=True):
         assert_allclose(one.wrench[[0, 1, 5]], two.wrench[[0, 1, 5]], atol=0.02 * float(np.linalg.norm(two.wrench[:2])))
 
 
@@ -171,7 +163,7 @@ def test_knots_of_a_speed_are_found():
 
 
 @pytest.mark.slow
-def test_a_recording_estimates_as_its_logs_alone(block: KnownBlock, trials: list[Trajectory], tmp_path: Path):
+def test_a_recording_estimates_as_its_logs_alone(trials: list[Trajectory], tmp_path: Path):
     chosen = [t for t in trials if not t.action.accelerated]
     log, mapping = written(tmp_path, strung(chosen, NOISE))
     named = [s for s in find_segments(log, mapping) if s.action]
@@ -179,11 +171,10 @@ def test_a_recording_estimates_as_its_logs_alone(block: KnownBlock, trials: list
     together, apart = [], []
     for segment, entry, trial in zip(named, entries, chosen, strict=True):
         assert segment.action is not None
-        one = write_toml(tmp_path / "one.toml", mapping_of(trial, action=segment.action.to_dict(), joints=None))
-        together.append(import_trajectory(log, one, entry=entry))
-        one = write_toml(tmp_path / "one.toml", mapping_of(trial, joints=None))
-        apart.append(import_trajectory(write_csv(tmp_path / "one.csv", trial), one))
-    answers = [HiddenStates().estimate(block.model.shape, block.model.total_mass, t, seed=0) for t in (together, apart)]
+        asked = mapping_of(trial, action=segment.action.to_dict(), joints=None)
+        together.append(imported(log, asked, entry=entry))
+        apart.append(imported(write_csv(tmp_path / "one.csv", trial), mapping_of(trial, joints=None)))
+    answers = [HiddenStates().estimate(SHAPE, BLOCK.model.total_mass, t, seed=0) for t in (together, apart)]
     masses = [answer.distribution.mass for answer in answers if answer.distribution]
     assert answers[1].covariance is not None
     error = np.sqrt(np.diag(answers[1].covariance))
@@ -272,9 +263,8 @@ def test_episodes_of_a_parquet_table_are_trials(turns: list[Trajectory], episode
     mapping["logs"] = [
         entry_of(episodes.name, turn) | {"where": {"episode_index": float(k)}} for k, turn in enumerate(turns)
     ]
-    path = write_toml(tmp_path / "map.toml", mapping)
     for index, turn in enumerate(turns):
-        found = import_trajectory(episodes, path, entry=LogMap.model_validate(mapping["logs"][index]))
+        found = imported(episodes, mapping, entry=LogMap.model_validate(mapping["logs"][index]))
         assert found.provenance["stretch"] == f"episode_index {index}"
         same(found, as_csv(tmp_path / str(index), turn), 1e-4)
 
@@ -287,10 +277,10 @@ def test_episodes_of_a_parquet_table_are_trials(turns: list[Trajectory], episode
         ({"episod": 1.0}, r"where: got 'episod'; .*nearest: episode_index"),
     ],
 )
-def test_an_episode_has_to_be_named(where: dict[str, float], said: str, turns, episodes: Path, tmp_path: Path):
+def test_an_episode_has_to_be_named(where: dict[str, float], said: str, turns: list[Trajectory], episodes: Path):
     mapping = mapped(turns[0], "observation.wrench", "observation.state", {"column": "timestamp"}) | {"where": where}
     with pytest.raises(HeftError, match=said):
-        import_trajectory(episodes, write_toml(tmp_path / "map.toml", mapping))
+        imported(episodes, mapping)
 
 
 def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], tmp_path: Path):
@@ -308,17 +298,17 @@ def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], tmp_path:
         file.create_virtual_dataset("outside", outside)
     mapping = mapped(turn, "ft/wrench", "arm/pose", {"column": "arm/stamp_ns", "unit": "ns"})
     mapping["sensor"]["time"] = {"column": "ft/stamp_ns", "unit": "ns"}
-    found = import_trajectory(path, write_toml(tmp_path / "map.toml", mapping))
+    found = imported(path, mapping)
     assert found.provenance["recorded"].startswith("2023-11-14T22:13:20")
     expected = as_csv(tmp_path / "csv", turn)
     count = min(len(found.time_s), len(expected.time_s))
     assert_allclose(found.sensor_wrench[:count], expected.sensor_wrench[:count], atol=1e-4)
     mapping["sensor"]["force"][0] = "outside"
     with pytest.raises(InvalidValueError, match="got 'outside'; allowed: one of"):
-        import_trajectory(path, write_toml(tmp_path / "map.toml", mapping))
+        imported(path, mapping)
     mapping["sensor"]["force"][0] = "arm/pose.0"
     with pytest.raises(LogError, match=r"columns of unequal length \(ft/stamp_ns \d+, arm/pose.0 \d+"):
-        import_trajectory(path, write_toml(tmp_path / "map.toml", mapping))
+        imported(path, mapping)
 
 
 def test_a_number_in_place_of_a_column_is_a_constant(turns: list[Trajectory], tmp_path: Path):
@@ -326,13 +316,13 @@ def test_a_number_in_place_of_a_column_is_a_constant(turns: list[Trajectory], tm
     mapping = mapping_of(turn)
     mapping["sensor"]["force"][2] = -0.5
     log = write_csv(tmp_path / "log.csv", turn)
-    found = import_trajectory(log, write_toml(tmp_path / "map.toml", mapping))
+    found = imported(log, mapping)
     expected = as_csv(tmp_path / "csv", turn)
     assert_allclose(found.sensor_wrench[:, 2], 0.5 * 9.80665, atol=1e-9)
     assert_allclose(found.sensor_wrench[:, [0, 1, 3, 4, 5]], expected.sensor_wrench[:, [0, 1, 3, 4, 5]], atol=1e-12)
     mapping["hand"] |= {"position": [0.0, 0.0, 0.0], "orientation": [0.0, 0.0, 0.0, 1.0]}
     with pytest.raises(InvalidValueError, match=r"one column or more beside constants"):
-        import_trajectory(log, write_toml(tmp_path / "map.toml", mapping))
+        imported(log, mapping)
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.h5"])
@@ -340,5 +330,5 @@ def test_a_file_of_another_kind_is_refused_in_a_line(name: str, turns: list[Traj
     pytest.importorskip("h5py", reason="needs the extra robot")
     (tmp_path / name).write_bytes(b"fx,fy,fz\n1,2,3\n" * 100)
     with pytest.raises(LogError) as refused:
-        import_trajectory(tmp_path / name, write_toml(tmp_path / "map.toml", mapping_of(turns[0])))
+        imported(tmp_path / name, mapping_of(turns[0]))
     assert name in str(refused.value) and "\n" not in str(refused.value)

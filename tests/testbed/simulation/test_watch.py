@@ -70,9 +70,18 @@ def test_a_live_trial_ends_where_the_object_slips(monkeypatch):
     assert live.outcome().reason == trajectory.reason
 
 
-def test_a_weighing_is_refused():
-    with pytest.raises(InvalidValueError, match="a slide or a turn"):
-        LiveTrial(Trial(load_object("L2"), Weigh()))
+@pytest.mark.parametrize(
+    ("show", "allowed"),
+    [
+        (LiveTrial, "a slide or a turn"),
+        (lambda trial: Playback(SimulationRunner().run_clean(trial), trial.object, (0.05, 0.085)), "a slide or a turn"),
+        (lambda trial: SimulationRunner().run_with_contacts(trial), "anything but a weighing"),
+    ],
+    ids=["live", "playback", "feet"],
+)
+def test_a_weighing_has_no_motion_and_no_feet(show, allowed: str):
+    with pytest.raises(InvalidValueError, match=allowed):
+        show(Trial(load_object("L2"), Weigh()))
 
 
 def test_a_replay_steps_through_the_record(tmp_path):

@@ -14,7 +14,6 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.foot_forces import FootForces
 from testbed.frames import rotation_matrix
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
@@ -117,6 +116,7 @@ def test_the_wrench_is_coulombs_sum_at_the_contact_points():
     record, contacts = run(draw)
     assert steady(record)[MIDDLE]
     feet = draw.feet(L2)
+    assert np.array_equal(contacts.foot_forces(record.time_s).particle, feet.particle)
     group = L2.shape.mass_group[feet.particle]
     load = feet.stiffness / np.bincount(group, feet.stiffness)[group] * L2.group_mass[group] * GRAVITY
     assert_allclose(contacts.force_on_object[MIDDLE, :, 2], load, rtol=0.1)  # the push tilts the object a little
@@ -194,15 +194,14 @@ def test_a_tilted_table_adds_its_part_of_gravity():
     assert_allclose(np.linalg.norm(draw.gravity), GRAVITY)
     scene = build_scene(L2, OWN_WEIGHT, None, SimulationSettings(), draw=draw)
     assert_allclose(scene.model.opt.gravity, draw.gravity)
-    plain, tilted = run(None)[1], run(draw)[1]
-    more = (tilted.wrench_at_tcp - plain.wrench_at_tcp)[:, :2]
+    (plain, level), (record, sloping) = run(None), run(draw)
+    more = (sloping.wrench_at_tcp - level.wrench_at_tcp)[:, :2]
     # the hand holds against the slope: what the feet rub does not change, but for the load that the slope moves
-    wrench = (run(draw)[0].sensor_wrench - run(None)[0].sensor_wrench)[:, :3]
-    world_axes = np.einsum("nij,nj->ni", rotation_matrix(run(None)[0].sensor_orientation), wrench)[steady(run(None)[0])]
-    tool = run(None)[0].tool
-    assert tool is not None
-    held = -(L2.total_mass + tool.mass) * draw.gravity[:2]
-    assert_allclose(world_axes.mean(axis=0)[:2], held - more[steady(run(None)[0])].mean(axis=0), atol=0.02)
+    wrench = (record.sensor_wrench - plain.sensor_wrench)[:, :3]
+    world_axes = np.einsum("nij,nj->ni", rotation_matrix(plain.sensor_orientation), wrench)[steady(plain)]
+    assert plain.tool is not None
+    held = -(L2.total_mass + plain.tool.mass) * draw.gravity[:2]
+    assert_allclose(world_axes.mean(axis=0)[:2], held - more[steady(plain)].mean(axis=0), atol=0.02)
 
 
 @pytest.mark.slow
@@ -252,14 +251,6 @@ def test_a_rigid_object_stands_on_the_points_too():
     assert record.mask(Phase.STEADY).any()
 
 
-def test_feet_of_a_world_can_be_kept():
-    draw = alone(contact_points=4)
-    record, contacts = run(draw)
-    kept = contacts.foot_forces(record.time_s)
-    assert isinstance(kept, FootForces)
-    assert len(kept.particle) == len(draw.feet(L2).particle)
-
-
 def test_a_setup_is_stated_by_the_name_of_a_world_and_by_its_own_errors():
     assert stated_setup({"preset": "lab", "gain": 0.03}) == replace(world("lab").stated, gain=0.03)
     assert stated_setup({"preset": "ideal"}).none
@@ -291,34 +282,29 @@ def test_every_quantity_is_of_one_source_that_may_err_alone():
         lab.only("contact")
 
 
-SHORT_TURN = Rotate(1, duration=3.0)
-IDEAL = preset("ideal")
-
-
-@cache
 def clean() -> Trajectory:
-    return SimulationRunner().run_clean(Trial(L2, SHORT_TURN))
+    return run(None)[0]
 
 
-def seen(record: Trajectory | None = None, seed: int = 1, **quantity: float) -> tuple[Trajectory, WorldDraw]:
+def seen(record: Trajectory | None = None, **quantity: float) -> tuple[Trajectory, WorldDraw]:
     """The record of a perfect sensor in a world in which only these quantities err, and the draw."""
-    draw = WorldDraw.of(World(name="alone", **quantity), L2, seed)  # pyright: ignore[reportArgumentType]
+    draw = alone(**quantity)
     record = clean() if record is None else record
     marked = replace(record, provenance=record.provenance | draw.provenance)
-    return draw_sensing(marked, IDEAL, 0), draw
+    return draw_sensing(marked, preset("ideal"), 0), draw
 
 
 def plain() -> Trajectory:
-    return draw_sensing(clean(), IDEAL, 0)
+    return draw_sensing(clean(), preset("ideal"), 0)
 
 
 def steady_part() -> np.ndarray:
-    return clean().segment >= 0
+    return steady(clean())
 
 
 def test_gain_and_crosstalk_mix_the_axes_of_the_sensor():
     for quantity in ("gain", "crosstalk"):
-        record, draw = seen(None, 1, **{quantity: 0.02})
+        record, draw = seen(**{quantity: 0.02})
         assert_allclose(record.sensor_wrench, clean().sensor_wrench @ response(draw).T, atol=1e-12)
         assert (response(draw)[0, 0] == 1) == (quantity == "crosstalk")
     more = compensate(replace(clean(), sensor_wrench=1.02 * clean().sensor_wrench))
@@ -410,17 +396,17 @@ def test_bias_and_drift_are_not_the_stated_ones():
 
 
 def test_a_scale_errs():
-    weighed = SimulationRunner().run_clean(Trial(L2, Weigh()))
+    weighed = RUNNER.run_clean(Trial(L2, Weigh()))
     record, draw = seen(weighed, scale=0.005)
     off = (record.wrench_on_object_world - weighed.wrench_on_object_world)[:, 2] / GRAVITY
     assert_allclose(off, draw.normal("scale", 1)[0])
     assert off[0] != 0
 
 
-@pytest.mark.parametrize("action", [SHORT_TURN, Weigh()])
+@pytest.mark.parametrize("action", [TURN, Weigh()])
 def test_nothing_of_a_draw_is_in_what_a_method_is_given(action, tmp_path):
     draw = WorldDraw.of(world("lab"), L2, 0)
-    made = SimulationRunner().run_clean(Trial(L2, action, world=draw))
+    made = RUNNER.run_clean(Trial(L2, action, world=draw))
     save_trajectory(made, tmp_path / "trial.parquet")
     kept = load_trajectory(tmp_path / "trial.parquet")
     assert WorldDraw.in_record(kept.provenance) == draw

@@ -33,16 +33,10 @@ STANDS = 0.02
 def analytic_links(
     obj: ObjectModel, action: Rotate | Slide, *, rate: float = RATE, camera_rate: float | None = None
 ) -> Trajectory:
-    """Record of one action on an object in links, from rest of those that trail.
+    """Record of one action on an object in links, on its own weight, from rest of those that trail.
 
-    Args:
-        obj: the object, truth included; every group rests on its own weight.
-        action: a slide, or a turn there.
-        rate: rate of the record [Hz].
-        camera_rate: rate of the exact camera [Hz], a multiple of `rate`; None is `rate`.
-
-    Raises:
-        InvalidValueError: a rigid object, or a hinge that stands from the beginning.
+    `camera_rate` is that of the exact camera [Hz], a multiple of `rate`, or None for `rate` itself. An object without
+    hinges, or with one that stands from the beginning, is an InvalidValueError.
     """
     shape, chain = obj.shape, obj.shape.chain
     if chain is None:

@@ -28,13 +28,9 @@ def drag_of(obj: ObjectModel) -> Drag:
 
 
 def analytic_pushes(obj: ObjectModel, actions: Sequence[Push]) -> list[Trajectory]:
-    """Records of pushes, each of an object that lies at the origin as the fingertip meets it.
+    """Records of pushes, each of an object that lies at the origin as the fingertip meets it, on its own weight.
 
     One ends where the path slows down, or where the fingertip comes to the end of the face.
-
-    Args:
-        obj: the object, truth included; every group rests on its own weight.
-        actions: the pushes.
     """
     return [
         _record(
@@ -47,14 +43,9 @@ def analytic_pushes(obj: ObjectModel, actions: Sequence[Push]) -> list[Trajector
 
 
 def steady_pushes(obj: ObjectModel, centers: Float[np.ndarray, "K 2"], *, seconds: float = 0.8) -> list[Trajectory]:
-    """Records of pushes in each of which the object turns about one center, at 0.3 rad/s.
+    """Records of pushes in each of which the object turns about one center [m], object frame, at 0.3 rad/s.
 
     The fingertip goes with the object on the drag's line of action, where it has no moment, on the outline or not.
-
-    Args:
-        obj: the object, truth included; every group rests on its own weight.
-        centers: centers of rotation [m], object frame.
-        seconds: time in contact [s].
     """
     drag, spin, found = drag_of(obj), 0.3, []
     yaw = spin * np.arange(round(seconds * RATE)) / RATE

@@ -39,53 +39,45 @@ def held_beside(
 
 
 def on_anisotropic_table(obj: ObjectModel, trajectory: Trajectory, ratio: float, direction: float) -> Trajectory:
-    """The trial on a table with friction anisotropy, the gripper unloaded: friction gives the pull of most power.
+    """The trial of an object on its own weight with friction anisotropy: friction gives the pull of most power.
 
-    Args:
-        obj: the object on its own weight.
-        trajectory: the same action on an even table.
-        ratio: least over most friction; their geometric mean is the object's.
-        direction: of most friction, world, rad.
+    `ratio` is of the least over the most friction, whose geometric mean is the object's; `direction` of the most [rad],
+    world; `trajectory` the same action on an even table. The gripper is unloaded.
     """
-    shape = obj.shape
-    assert isinstance(trajectory.action, Rotate | Accelerate | Slide)
-    yaw, turn = trajectory.object_pose[:, 2], _upright(trajectory)[:, :2, :2]
-    lever = turn[:, None] @ (shape.particles - shape.grasps[trajectory.action.grasp].position)[..., None]
-    lever = lever[..., 0]
-    velocity = trajectory.tcp_velocity[:, None, :2] + trajectory.object_velocity[:, 2, None, None] * perpendicular(
-        lever
-    )
-    feet = shape.friction_group >= 0
-    drag = np.where(feet, obj.truth.friction[shape.friction_group] * obj.particle_mass * GRAVITY, 0.0)
+    lever, velocity, drag = _rubbing(obj, trajectory)
     ellipse = rotation_2d(direction) * [ratio**-0.5, ratio**0.5]
-    more = drag[:, None] * (_pull(velocity, ellipse) - _pull(velocity, np.eye(2)))
-    force, torque = more.sum(axis=1), cross_2d(lever, more).sum(axis=1)
-    tilt = HEIGHT * -perpendicular(force)
-    wrench = trajectory.wrench_on_object_world + np.column_stack([force, 0 * yaw, tilt, torque])
-    return replace(trajectory, wrench_on_object_world=wrench)
+    return _with_forces(trajectory, lever, drag * (_pull(velocity, ellipse) - _pull(velocity, np.eye(2))))
 
 
 def on_plastic(obj: ObjectModel, trajectory: Trajectory, departure: np.ndarray) -> Trajectory:
-    """The trial with friction that departs from Coulomb's law, the gripper or the fingertip unloaded.
+    """The trial of an object on its own weight with friction that departs from Coulomb's law.
 
-    Args:
-        obj: the object on its own weight.
-        trajectory: the same action on an even table.
-        departure: of the friction along itself, across it and around the middle of the contact, as parts of it: a row
-            a sample, or one for all.
+    `departure` is of the friction along itself, across it and around the middle of the contact, as parts of it: a row a
+    sample, or one for all. The gripper or the fingertip is unloaded.
     """
-    shape, turn = obj.shape, _upright(trajectory)[:, :2, :2]
-    feet = shape.friction_group >= 0
-    drag = np.where(feet, obj.truth.friction[shape.friction_group] * obj.particle_mass * GRAVITY, 0.0)
-    arm = (turn[:, None] @ shape.particles[..., None])[..., 0]
-    spin = trajectory.object_velocity[:, 2, None, None]
-    pull = drag[:, None] * _pull(trajectory.object_velocity[:, None, :2] + spin * perpendicular(arm), np.eye(2))
-    spoke = arm - arm[:, feet].mean(axis=1, keepdims=True)
+    lever, velocity, drag = _rubbing(obj, trajectory)
+    feet = obj.shape.friction_group >= 0
+    pull = drag * _pull(velocity, np.eye(2))
+    spoke = lever - lever[:, feet].mean(axis=1, keepdims=True)
     reach = np.sqrt((spoke[:, feet] ** 2).sum(axis=-1).mean())
-    along, across, around = np.broadcast_to(departure, (len(turn), 3)).T[..., None, None]
-    more = along * pull + across * perpendicular(pull) + around / reach * drag[:, None] * perpendicular(spoke)
+    along, across, around = np.broadcast_to(departure, (len(lever), 3)).T[..., None, None]
+    more = along * pull + across * perpendicular(pull) + around / reach * drag * perpendicular(spoke)
+    return _with_forces(trajectory, lever, more)
+
+
+def _rubbing(obj: ObjectModel, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of all particles from the TCP [m] and velocities [m/s], world, (T, P, 2), and friction [N], (P, 1)."""
+    shape, turn = obj.shape, _upright(trajectory)[:, :2, :2]
+    drag = np.where(shape.friction_group >= 0, obj.truth.friction[shape.friction_group], 0.0)
+    arm = (turn[:, None] @ shape.particles[..., None])[..., 0]
+    velocity = trajectory.object_velocity[:, None, :2] + trajectory.object_velocity[:, None, 2:] * perpendicular(arm)
     lever = arm + (trajectory.object_pose[:, :2] - trajectory.tcp_position[:, :2])[:, None]
-    force, torque = more.sum(axis=1), cross_2d(lever, more).sum(axis=1)
+    return lever, velocity, (drag * obj.particle_mass * GRAVITY)[:, None]
+
+
+def _with_forces(trajectory: Trajectory, lever: np.ndarray, forces: np.ndarray) -> Trajectory:
+    """The trial with more forces on the particles, (T, P, 2)."""
+    force, torque = forces.sum(axis=1), cross_2d(lever, forces).sum(axis=1)
     wrench = np.column_stack([force, 0 * torque, HEIGHT * -perpendicular(force), torque])
     return replace(trajectory, wrench_on_object_world=trajectory.wrench_on_object_world + wrench)
 

@@ -153,9 +153,7 @@ def write_joined_csv(path: Path, sensor: pd.DataFrame, hand: pd.DataFrame) -> Pa
 def strung(trials: Sequence[Trajectory], pose_noise: float = 0.0) -> Trajectory:
     """Trials of one object as one recording: the hand goes up from each to the next, the object lies where it left it.
 
-    Args:
-        trials: each from its tare to its last sample with the object.
-        pose_noise: standard deviation of the TCP [m].
+    Each trial goes from its tare to its last sample with the object; `pose_noise` is that of the TCP, one sigma [m].
     """
     parts: list[dict[str, np.ndarray]] = []
     for trial in trials:

@@ -24,15 +24,9 @@ def lifted(
     errors: float = 0.0,
     seed: int = 0,
 ) -> Trajectory:
-    """The record of a lift.
+    """Record of a lift, with `errors` times BIAS and NOISE.
 
-    Args:
-        obj: the object, truth included.
-        action: what is done with it.
-        offset: of the object in the grip, m, object axes.
-        tilt: of the table and the robot about x, which turns gravity, rad.
-        errors: times BIAS and NOISE.
-        seed: of the errors.
+    `offset` is the object's in the grip [m], object axes, `tilt` that of table and robot about x [rad].
     """
     shape, still = obj.shape, 80
     profile = action.sampled(1 / RATE)

@@ -33,15 +33,9 @@ def readings(
     hands: Sequence[Rotation] = POSES,
     torque_sign: int = 1,
 ) -> list[StaticPose]:
-    """Readings of a sensor.
+    """Readings of a sensor with this orientation in the hand, with `noise` times ERROR.
 
-    Args:
-        mount: orientation of the sensor in the hand.
-        sign: -1 for a sensor that reports what the tool does to the arm.
-        noise: times ERROR.
-        seed: of the noise.
-        hands: orientations of the hand.
-        torque_sign: as `sign`, of torque alone.
+    A `sign` of -1 is of a sensor that reports what the tool does to the arm; `torque_sign` is of its torque alone.
     """
     rng = np.random.default_rng(seed)
     poses = []

@@ -31,17 +31,10 @@ def turn_record(
     count: int = 400,
     **changes: Any,
 ) -> Trajectory:
-    """A turn about a fixed pivot under a wrench that is constant in the object frame.
+    """A turn under a wrench about the TCP in object axes, (6,) or (T, 6), of `count` samples.
 
-    Args:
-        wrench_object: wrench about the TCP in object axes, (6,) or (T, 6).
-        grasp: where the object is held, m, object frame.
-        pivot: center of the turn, m, object frame; it rests at (0.4, 0.1) in the world.
-        start: yaw at the start, rad.
-        speed: turn rate at the start, rad/s.
-        acceleration: of the turn, rad/s^2.
-        count: T.
-        changes: other fields of the record.
+    It is held at `grasp` and turned about `pivot` [m], object frame, which rests at (0.4, 0.1) in the world; yaw [rad],
+    turn rate [rad/s] and acceleration are those at the start. `changes` are other fields of the record.
     """
     time = np.arange(count) / RATE
     yaw = start + speed * time + acceleration * time**2 / 2

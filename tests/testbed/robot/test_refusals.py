@@ -1,27 +1,289 @@
-"""Values, units and signs that the robot's classes and files refuse, each with its field and what is allowed."""
+"""Numbers of the robot's files and classes: each has a range, and what is outside is refused with field and limits."""
 
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
+from pydantic import BaseModel, ValidationError
 
 from testbed.errors import InvalidValueError
 from testbed.robot.calibration.file import CalibrationFile, load_calibration, save_calibration
 from testbed.robot.calibration.hand_eye import align
-from testbed.robot.calibration.static_poses import Calibration, StaticPose, calibrate, static_pose
+from testbed.robot.calibration.static_poses import StaticPose, calibrate, static_pose
 from testbed.robot.calibration.trial import check_trial
-from testbed.robot.config import RobotFile, RobotSettings
+from testbed.robot.camera.udp import UdpCamera
+from testbed.robot.config import (
+    ArmTable,
+    BenchTable,
+    CameraTable,
+    GripperTable,
+    LimitsTable,
+    RobotFile,
+    RobotSettings,
+    SensorTable,
+)
 from testbed.robot.interfaces import ArmIdentity, Pose
-from testbed.robot.kinova.arm import GEN3
-from testbed.robot.kinova.gripper import data_sheet
+from testbed.robot.kinova.arm import GEN3, KortexArm
+from testbed.robot.kinova.gripper import KortexGripper, data_sheet
 from testbed.robot.raw_record import RawRecord
-from testbed.robot.registry import load_robot_file
+from testbed.robot.registry import build_arm, load_robot_file
+from testbed.robot.robotiq.ft300s import REPEATS, Ft300s
 from testbed.robot.safety import SafetyLimits
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.toml import InvalidFileError
+from testbed.validation import Range, check_settings
+from tests.fakes.robot import FakeArm
 from tests.fakes.static_hand import BIAS, DOWN, ERROR, readings
+
+GIVEN: Mapping[type, dict[str, Any]] = {
+    ArmTable: {},
+    SensorTable: {},
+    GripperTable: {},
+    CameraTable: {},
+    BenchTable: {},
+    LimitsTable: {},
+    SafetyLimits: {},
+    RobotSettings: {"tool": data_sheet(0.05)},
+    KortexArm: {},
+    KortexGripper: {"arm": KortexArm()},
+    Ft300s: {"port": "/dev/none"},
+    UdpCamera: {},
+}
+"""Classes with settings of the robot, and their arguments without a default."""
+ODD = (math.nan, math.inf, -math.inf, True, "1", None)
+
+
+def leaves(annotation: Any, within: Range | None = None) -> Iterator[tuple[Any, Range | None]]:
+    """Types in an annotation, each with the range around it."""
+    if get_origin(annotation) is Annotated:
+        base, *beside = get_args(annotation)
+        yield from leaves(base, next((b for b in beside if isinstance(b, Range)), within))
+    elif get_origin(annotation) is not Literal:
+        inner = get_args(annotation)
+        yield from ((annotation, within),) if not inner else (leaf for one in inner for leaf in leaves(one, within))
+
+
+def hints(kind: type) -> dict[str, Any]:
+    """Annotation of each argument, with its range."""
+    whole = dataclasses.is_dataclass(kind) or issubclass(kind, BaseModel)
+    found = get_type_hints(kind if whole else kind.__init__, include_extras=True)
+    return {name: found[name] for name in inspect.signature(kind).parameters}
+
+
+def is_number(kind: Any) -> bool:
+    return kind in (int, float, np.ndarray)
+
+
+NUMBERS = [
+    (kind, name, position, within)
+    for kind in GIVEN
+    for name, annotation in hints(kind).items()
+    for position, within in enumerate(within for leaf, within in leaves(annotation) if is_number(leaf))
+]
+
+
+def default(kind: type, name: str) -> Any:
+    made = getattr(kind(**GIVEN[kind]), name, None) if kind is not UdpCamera else None
+    return inspect.signature(kind).parameters[name].default if made is None else made
+
+
+def made_with(kind: type, name: str, position: int, value: object) -> None:
+    """Construct a class with one number changed."""
+    usual = default(kind, name)
+    if isinstance(usual, tuple | list):
+        value = [value if index == position else one for index, one in enumerate(usual)]
+    kind(**GIVEN[kind] | {name: value})
+
+
+@pytest.mark.parametrize(("kind", "name", "position", "within"), NUMBERS)
+def test_every_number_has_a_range_and_is_refused_outside_it(kind, name, position, within):
+    assert isinstance(within, Range)
+    integer = any(leaf is int for leaf, _ in leaves(hints(kind)[name]))
+    step = 1 if integer else 1e-9 * max(abs(within.low), abs(within.high))
+    if name not in ("low", "high", "low_m", "high_m", "delay_s", "sensor_orientation") and "wxyz" not in name:
+        for allowed in (within.low, within.high):
+            made_with(kind, name, position, allowed)
+    for value in (within.low - step, within.high + step, *ODD):
+        with pytest.raises((InvalidValueError, ValidationError)) as refused:
+            made_with(kind, name, position, value)
+        if not isinstance(value, str | bool | None):
+            assert name in str(refused.value)
+            if name != "sensor_orientation":
+                assert str(within) in str(refused.value)
+
+
+def test_the_walk_finds_the_numbers():
+    found = {(kind, name) for kind, name, *_ in NUMBERS}
+    assert {(KortexArm, "silence"), (KortexArm, "watchdog"), (KortexArm, "turn_speed")} <= found
+    assert {(Ft300s, "stale_after"), (Ft300s, "repeats"), (SafetyLimits, "age"), (UdpCamera, "object_wxyz")} <= found
+    assert len(found) > 50
+
+
+def robot_file(tmp_path, text: str) -> RobotFile:
+    path = tmp_path / "robot.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_robot_file(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "refusal"),
+    [
+        ("[arm]\nsettings = { silence = 100.0 }", r"arm\.settings\.silence: got 100\.0; allowed: 0\.02 to 0\.2 s"),
+        ("[arm]\nsettings = { watchdog = 50.0 }", r"arm\.settings\.watchdog: got 50\.0; allowed: 0\.02 to 0\.1 s"),
+        ("[arm]\nsettings = { watchdog = 1e9 }", r"arm\.settings\.watchdog: got 1000000000\.0; .* 0\.1 s"),
+        ("[arm]\nsettings = { watchdog = -0.05 }", r"arm\.settings\.watchdog: got -0\.05"),
+        ("[arm]\nsettings = { silence = nan }", r"arm\.settings\.silence: got nan"),
+        ("[arm]\nsettings = { silence = inf }", r"arm\.settings\.silence: got inf"),
+        ("[arm]\nsettings = { silence = true }", r"arm\.settings\.silence: got True"),
+        ("[arm]\nsettings = { silence = [0.1] }", r"arm\.settings\.silence: got \[0\.1\]"),
+        ("[arm]\nsettings = { turn_speed = 30 }", r"arm\.settings\.turn_speed: got 30; allowed: .* rad/s"),
+        ("[arm]\nsettings = { tool_length = 211.5 }", r"arm\.settings\.tool_length: got 211\.5; .* 0\.6 m"),
+        ("[arm]\nsettings = { port = 1e5 }", r"arm\.settings\.port: got 100000\.0; allowed: an integer"),
+        ("[sensor]\nsettings = { stale_after = 100 }", r"sensor\.settings\.stale_after: got 100; .* 0\.2 s"),
+        (
+            "[sensor]\nsettings = { repeats = [7, 7, 8, 9, 1000000, 19] }",
+            r"sensor\.settings\.repeats\[4\]: got 1000000; allowed: an integer from 2 to 30 frames",
+        ),
+        ("[sensor]\nsettings = { repeats = [7] }", r"sensor\.settings\.repeats: .*a list of 6 values"),
+        ("[sensor]\nsettings = { repeats = 7 }", r"sensor\.settings\.repeats: .*a list of 6 values"),
+        (
+            '[camera]\nmodel = "udp"\nsettings = { in_base_m = [6, 0, 8] }',
+            r"camera\.settings\.in_base_m\[0\]: got 6; allowed: -5 to 5 m",
+        ),
+    ],
+)
+def test_a_device_of_the_file_is_refused_at_load(tmp_path, text, refusal):
+    with pytest.raises(InvalidValueError, match=refusal):
+        robot_file(tmp_path, text)
+
+
+def test_a_number_of_the_files_own_tables_is_no_bool_and_no_text(tmp_path):
+    with pytest.raises(InvalidFileError) as refused:
+        robot_file(tmp_path, '[limits]\nspeed_m_s = true\nforce_N = "60"\n[arm]\nport = true\n')
+    assert [line.partition("robot.toml: ")[2] for line in str(refused.value).splitlines()] == [
+        "arm.port: got True; allowed: an integer from 1 to 65535",
+        "limits.speed_m_s: got True; allowed: 0.002 to 0.5 m/s",
+        "limits.force_N: got '60'; allowed: 1 to 300 N",
+    ]
+
+
+def test_settings_within_their_ranges_are_taken(tmp_path):
+    file = robot_file(tmp_path, "[arm]\nsettings = { silence = 0.05, turn_speed = 1 }\n[sensor]\nport = '/dev/none'")
+    arm = build_arm(file)
+    assert isinstance(arm, KortexArm) and (arm.silence, arm.turn_speed) == (0.05, 1)
+    assert Ft300s("/dev/none").identity.repeats == REPEATS
+
+
+class Ranged(FakeArm):
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        *,
+        pause: Annotated[float, Range(0.01, 0.2, "s")] = 0.1,
+        gains: tuple[Annotated[float, Range(0, 5, "1/s")], ...] | None = None,
+        mode: Literal[1, 2] = 1,
+        fast: bool = False,
+    ): ...
+
+
+@dataclasses.dataclass
+class RangedData(FakeArm):
+    pause: Annotated[float, Range(0.01, 0.2, "s")] = 0.1
+
+
+class Bare(FakeArm):
+    def __init__(self, pause: float = 0.1): ...
+
+
+@dataclasses.dataclass
+class BareData(FakeArm):
+    pause: float | None = None
+
+
+class Untyped(FakeArm):
+    def __init__(self, pause=0.1): ...
+
+
+class Table(FakeArm):
+    def __init__(self, pause: dict[str, Any] | None = None): ...
+
+
+class AnyName(FakeArm):
+    def __init__(self, **pause: Any): ...
+
+
+@pytest.mark.parametrize("kind", [Ranged, RangedData])
+def test_a_plug_in_with_ranges_is_taken_within_them(tmp_path, kind):
+    arm = f'[arm]\nmodel = "{__name__}:{kind.__name__}"\n'
+    assert robot_file(tmp_path, arm)
+    assert isinstance(build_arm(robot_file(tmp_path, f"{arm}settings = {{ pause = 0.2 }}")), kind)
+    for value in ("100.0", "nan", "true", "-0.1", '"0.1"'):
+        with pytest.raises(InvalidValueError, match=r"arm\.settings\.pause: got .*; allowed: 0\.01 to 0\.2 s"):
+            robot_file(tmp_path, f"{arm}settings = {{ pause = {value} }}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "refusal"),
+    [
+        ("gains = [1.0, 50.0]", r"gains\[1\]: got 50\.0; allowed: 0 to 5 1/s"),
+        ("mode = 3", "mode: got 3; allowed: one of 1, 2"),
+        ("fast = 1e9", "fast: got 1000000000.0; allowed: a number whose range the class states"),
+        ("port = 1", "port: got 1; allowed: a number whose range the class states"),
+    ],
+)
+def test_every_shape_of_a_plug_ins_setting_is_checked(tmp_path, settings, refusal):
+    arm = f'[arm]\nmodel = "{__name__}:Ranged"\n'
+    robot_file(tmp_path, f"{arm}settings = {{ gains = [1.0, 5.0], mode = 2, fast = true }}")
+    with pytest.raises(InvalidValueError, match=refusal):
+        robot_file(tmp_path, f"{arm}settings = {{ {settings} }}")
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        (Bare, ""),
+        (BareData, ""),
+        (Untyped, ""),
+        (Bare, "pause = 0.1"),
+        (Untyped, "pause = [[0.1]]"),
+        (Table, "pause = { of = [{ a = 1e9 }] }"),
+        (AnyName, "pause = 0.1"),
+    ],
+)
+def test_a_plug_ins_number_without_a_range_is_refused_at_load(tmp_path, kind, settings):
+    with pytest.raises(InvalidValueError, match=r"arm\.settings\.pause: .*pause: Annotated\[float, Range\(lowest"):
+        robot_file(tmp_path, f'[arm]\nmodel = "{__name__}:{kind.__name__}"\nsettings = {{ {settings} }}')
+
+
+def test_a_device_built_without_a_file_is_checked_too():
+    table = {"model": f"{__name__}:Bare", "settings": {"pause": 1e9}}
+    with pytest.raises(InvalidValueError, match=r"arm\.settings\.pause"):
+        build_arm(RobotFile.model_validate({"arm": table}))
+
+
+@pytest.mark.parametrize("limits", [(1, 0), (0, math.inf), (math.nan, 1), (False, 1)])
+def test_a_range_has_two_finite_ends(limits):
+    with pytest.raises(InvalidValueError):
+        Range(limits[0], limits[1], "s")
+
+
+def test_a_default_outside_its_own_range_is_refused():
+    class Wrong:
+        def __init__(self, pause: Any = 5.0): ...
+
+    Wrong.__init__.__annotations__["pause"] = Annotated[float, Range(0, 1, "s")]
+    with pytest.raises(InvalidValueError, match=r"mine\.pause: got 5\.0; allowed: 0 to 1 s"):
+        check_settings(Wrong, {}, "mine")
+
 
 HAND, COVARIANCE = DOWN.as_quat(scalar_first=True), np.eye(6) * 1e-4
 SAMPLES, UP, ONE = np.random.default_rng(0).standard_normal((20, 6)), np.array([0, 0, 1.0]), Weighing(1.0, 0.001)
@@ -62,11 +324,11 @@ def test_it_is_refused(call, field, allowed):
 GOOD = replace(calibrate(readings(DOWN)), bias_walk=np.full(6, 0.1))
 
 
-def numbers_of_a_calibration() -> list[str]:
-    return [n for n, f in CalibrationFile.model_fields.items() if n.startswith(("bias", "tool")) and "std" not in n]
+MEASURED = [n for n in CalibrationFile.model_fields if n.startswith(("bias", "tool")) and "std" not in n]
+"""Numbers of a calibration."""
 
 
-@pytest.mark.parametrize("key", numbers_of_a_calibration())
+@pytest.mark.parametrize("key", MEASURED)
 def test_every_number_of_a_calibration_is_bounded(key, tmp_path):
     path = tmp_path / "calibration.toml"
     save_calibration(path, GOOD, "1", "today")
@@ -89,16 +351,13 @@ def test_every_number_of_a_calibration_is_bounded(key, tmp_path):
     ],
 )
 def test_a_tool_that_cannot_hang_on_the_sensor_is_refused(changes, field):
-    calibration: Calibration = replace(GOOD, **changes)
     RobotFile().settings(GOOD, data_sheet(0.05))
     with pytest.raises(InvalidValueError, match=field):
-        RobotFile().settings(calibration, data_sheet(0.05))
+        RobotFile().settings(replace(GOOD, **changes), data_sheet(0.05))
 
 
 def test_another_arm_than_the_file_names_is_refused(tmp_path: Path):
-    path = tmp_path / "robot.toml"
-    path.write_text('[arm]\nserial = "AC1"\nfirmware = "0x20600"\n', encoding="utf-8")
-    file = load_robot_file(path)
+    file = robot_file(tmp_path, '[arm]\nserial = "AC1"\nfirmware = "0x20600"\n')
     file.check_arm(ArmIdentity("GEN3", "AC1", "0x20600"))
     for other in (ArmIdentity("GEN3", "AC2", "0x20600"), ArmIdentity("GEN3", "AC1")):
         with pytest.raises(InvalidValueError, match="which the arm reports"):

@@ -39,25 +39,17 @@ def test_a_weight_hung_off_the_gripper_pulls_with_the_agreed_sign():
     assert_allclose(at_gripper, [0, 0, 19.62, 0, -1.962, 0], atol=1e-12)
 
 
-def test_moves_of_a_wrench_add_up_and_moving_it_nowhere_changes_nothing(wrench: np.ndarray, rng: np.random.Generator):
-    a, b = rng.normal(size=(2, 8, 3))
-    assert_allclose(move_wrench(move_wrench(wrench, a), b), move_wrench(wrench, a + b), atol=1e-12)
+def test_moving_and_turning_a_wrench_compose_commute_and_do_nothing_by_nothing(
+    wrench: np.ndarray, rotation: np.ndarray, rng: np.random.Generator
+):
+    (a, b), other = rng.normal(size=(2, 8, 3)), rotation[::-1]
+    moved, turned = move_wrench(wrench, a), rotate_wrench(rotation, wrench)
+    assert_allclose(move_wrench(moved, b), move_wrench(wrench, a + b), atol=1e-12)
+    assert_allclose(rotate_wrench(other, turned), rotate_wrench(other @ rotation, wrench), atol=1e-12)
+    turned_lever = np.einsum("nij,nj->ni", rotation, a)
+    assert_allclose(rotate_wrench(rotation, moved), move_wrench(turned, turned_lever), atol=1e-12)
     assert np.array_equal(move_wrench(wrench, np.zeros(3)), wrench)
-
-
-def test_rotations_compose_and_the_identity_does_nothing(wrench: np.ndarray, rotation: np.ndarray):
     assert np.array_equal(rotate_wrench(np.eye(3), wrench), wrench)
-    other = rotation[::-1]
-    assert_allclose(
-        rotate_wrench(other, rotate_wrench(rotation, wrench)), rotate_wrench(other @ rotation, wrench), atol=1e-12
-    )
-
-
-def test_moving_commutes_with_turning_the_axes(wrench: np.ndarray, rotation: np.ndarray, rng: np.random.Generator):
-    to = rng.normal(size=(8, 3))
-    moved_first = rotate_wrench(rotation, move_wrench(wrench, to))
-    turned_first = move_wrench(rotate_wrench(rotation, wrench), np.einsum("nij,nj->ni", rotation, to))
-    assert_allclose(moved_first, turned_first, atol=1e-12)
 
 
 def test_power_depends_neither_on_the_point_nor_on_the_axes(

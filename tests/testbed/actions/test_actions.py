@@ -30,6 +30,7 @@ from testbed.simulation.scene import part
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import RIGID, Trial
 
+SHAPE = load_object("L2").shape
 GRASP = st.integers(0, 20)
 POSITIVE = st.floats(1e-6, 1e3)
 FINITE = st.floats(-1e3, 1e3)
@@ -73,10 +74,9 @@ def test_the_turn_of_the_paper_is_the_default():
 
 
 def test_a_turn_is_about_its_grasp_unless_a_pivot_is_given():
-    shape = load_object("L2").shape
-    assert Rotate(2).center(shape).tolist() == shape.grasps[2].position.tolist()
-    assert Accelerate(1).center(shape).tolist() == shape.grasps[1].position.tolist()
-    assert Rotate(2, pivot=(0.1, -0.2)).center(shape).tolist() == [0.1, -0.2]
+    assert Rotate(2).center(SHAPE).tolist() == SHAPE.grasps[2].position.tolist()
+    assert Accelerate(1).center(SHAPE).tolist() == SHAPE.grasps[1].position.tolist()
+    assert Rotate(2, pivot=(0.1, -0.2)).center(SHAPE).tolist() == [0.1, -0.2]
 
 
 def test_an_index_of_numpy_is_an_integer():
@@ -107,6 +107,10 @@ REFUSED: list[tuple[type[Action], dict[str, object], str]] = [
     (Lift, {"swings": 1.5}, "Lift.swings"),
     (Lift, {"hold": 0.0}, "Lift.hold"),
     (Lift, {"height": -1.0}, "Lift.height"),
+    (Push, {"speed": 0.3}, "Push.speed"),
+    (Push, {"length": 0.0}, "Push.length"),
+    (Push, {"curvature": math.nan}, "Push.curvature"),
+    (Push, {"point": (1.0,)}, "Push.point"),
 ]
 
 
@@ -119,10 +123,8 @@ def test_a_trial_of_a_name_is_refused(field: str, value: str):
 
 @pytest.mark.parametrize(("kind", "fields", "field"), REFUSED)
 def test_an_action_out_of_range_is_refused(kind, fields: dict[str, object], field: str):
-    for make in (
-        lambda: kind(**{"grasp": 0} | fields),
-        lambda: action_from_dict({"kind": kind.kind, "grasp": 0} | fields),
-    ):
+    given = ({"point": (0.0, 0.0), "direction": 0.0} if kind is Push else {"grasp": 0}) | fields
+    for make in (lambda: kind(**given), lambda: action_from_dict({"kind": kind.kind} | given)):
         with pytest.raises(InvalidValueError) as refused:
             make()
         assert refused.value.field == field
@@ -149,23 +151,21 @@ def test_plain_data_that_is_no_action_is_refused(data, field: str, allowed: str)
 
 
 def test_an_action_is_a_sentence():
-    shape = load_object("L2").shape
     turn = Rotate(0, speed=-0.2, pivot=(0.05, 0.02), back=True)
-    name = shape.grasps[0].name
-    assert turn.describe(shape) == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
-    assert Accelerate(0).reversed().describe(shape) == f"accelerate at {name}, right"
-    assert Slide(0).describe(shape) == f"slide at {name}, towards 0 deg"
-    assert Lift(0).describe(shape) == f"lift at {name}, 6 swings, held 2 s"
-    assert (Weigh().describe(shape), Slide(99).describe(shape)) == ("weigh", "slide at grasp 99, towards 0 deg")
+    name = SHAPE.grasps[0].name
+    assert turn.describe(SHAPE) == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
+    assert Accelerate(0).reversed().describe(SHAPE) == f"accelerate at {name}, right"
+    assert Slide(0).describe(SHAPE) == f"slide at {name}, towards 0 deg"
+    assert Lift(0).describe(SHAPE) == f"lift at {name}, 6 swings, held 2 s"
+    assert (Weigh().describe(SHAPE), Slide(99).describe(SHAPE)) == ("weigh", "slide at grasp 99, towards 0 deg")
 
 
 def test_what_does_not_move_takes_no_time():
     assert Weigh().seconds == 0.0
     with pytest.raises(InvalidValueError, match="an action that moves the object"):
-        Weigh().tool_path(load_object("L2").shape, np.zeros(3), 0.01)
+        Weigh().tool_path(SHAPE, np.zeros(3), 0.01)
 
 
-SHAPE = load_object("L2").shape
 PATHS = [
     Rotate(2, pivot=(0.01, -0.02), back=True, duration=3.0),
     Rotate(0, speed=-0.3, duration=2.0),
@@ -228,50 +228,40 @@ def test_a_path_keeps_its_pivot_and_its_grasp_and_leads_on_from_its_start(action
     assert_allclose(again.tool_pose(part), tools, atol=1e-12)
 
 
-L2 = load_object("L2").shape
-
-
 def test_faces_close_the_outline():
-    every = faces(L2)
+    every = faces(SHAPE)
     assert sum(face.length * face.normal for face in every) == pytest.approx(0, abs=1e-12)
     # the area, by the divergence theorem, is that of all cells
     area = sum(face.length * face.normal @ (face.begin + face.end) / 4 for face in every)
-    assert area == pytest.approx(len(L2.particles) * L2.cell**2)
-    assert all(
-        L2.mass_group[np.linalg.norm(L2.particles - (f.begin + f.end) / 2, axis=1).argmin()] == f.group for f in every
-    )
+    assert area == pytest.approx(len(SHAPE.particles) * SHAPE.cell**2)
+    nearest = [np.linalg.norm(SHAPE.particles - (face.begin + face.end) / 2, axis=1).argmin() for face in every]
+    assert [SHAPE.mass_group[particle] for particle in nearest] == [face.group for face in every]
 
 
 def test_the_path_meets_the_point_and_bends():
-    face = faces(L2)[0]
+    face = faces(SHAPE)[0]
     point, inwards = (face.begin + face.end) / 2, math.atan2(-face.normal[1], -face.normal[0])
     for bend in (0.0, 3.0, -3.0):
         push = Push((float(point[0]), float(point[1])), inwards, bend, length=0.1)
         way = np.linspace(0.0, GAP + 0.1, 200)
-        path = push.path(L2, way)
+        path = push.path(SHAPE, way)
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(GAP + 0.1, rel=1e-5)
-        contact = push.path(L2, np.array([GAP]))[0] - push.radius * face.normal
+        contact = push.path(SHAPE, np.array([GAP]))[0] - push.radius * face.normal
         assert contact == pytest.approx(point)
         ends = [np.arctan2(*np.diff(path[part], axis=0)[0][::-1]) for part in (slice(0, 2), slice(-2, None))]
         assert math.remainder(ends[1] - ends[0] - bend * 0.1, 2 * math.pi) == pytest.approx(0, abs=2e-3)
         assert push.seconds > (GAP + 0.1) / push.speed
         assert action_from_dict(json.loads(json.dumps(push.to_dict()))) == push
-        assert push.grasp is None and "push at" in push.describe(L2)
-
-
-@pytest.mark.parametrize("change", [{"speed": 0.3}, {"length": 0.0}, {"curvature": math.nan}, {"point": (1.0,)}])
-def test_what_is_no_push_is_refused(change):
-    with pytest.raises(InvalidValueError):
-        Push(**{"point": (0.0, 0.0), "direction": 0.0} | change)
+        assert push.grasp is None and "push at" in push.describe(SHAPE)
 
 
 def test_a_push_needs_a_face_before_it():
-    face = faces(L2)[0]
+    face = faces(SHAPE)[0]
     x, y = ((face.begin + face.end) / 2).tolist()
     outwards = math.atan2(face.normal[1], face.normal[0])
     for push in (Push((x, y), outwards), Push((x, y), outwards + math.pi / 2), Push((9.0, 9.0), 0.0)):
         with pytest.raises(InvalidValueError):
-            push.face(L2)
+            push.face(SHAPE)
 
 
 WELD = SimulationSettings(grip=GripSettings(mode="weld"))
@@ -279,9 +269,8 @@ WELD = SimulationSettings(grip=GripSettings(mode="weld"))
 
 def stretched(times: float) -> ObjectShape:
     """L2, its blocks so much farther apart."""
-    shape = load_object("L2").shape
-    grasps = tuple(replace(grasp, position=times * grasp.position) for grasp in shape.grasps)
-    return replace(shape, particles=times * shape.particles, grasps=grasps)
+    grasps = tuple(replace(grasp, position=times * grasp.position) for grasp in SHAPE.grasps)
+    return replace(SHAPE, particles=times * SHAPE.particles, grasps=grasps)
 
 
 def path_of(action: TableAction, shape: ObjectShape) -> PlanarPath:
@@ -345,7 +334,7 @@ def test_the_bench_refuses_what_would_pass_the_edge():
 
 
 def test_where_an_object_is_laid_down_its_way_begins():
-    shape, action = load_object("L2").shape, Rotate(2, duration=3.0, pivot=(0.05, -0.1), back=True)
-    path = action.path_from(shape, action.profile(0.01).length, plan_motion(action, shape, WELD).object_pose)
-    np.testing.assert_allclose(overhang_of(shape, path), overhang_of(shape, path_of(action, shape)), atol=1e-9)
-    assert len(outline(shape)) <= 8
+    action = Rotate(2, duration=3.0, pivot=(0.05, -0.1), back=True)
+    path = action.path_from(SHAPE, action.profile(0.01).length, plan_motion(action, SHAPE, WELD).object_pose)
+    np.testing.assert_allclose(overhang_of(SHAPE, path), overhang_of(SHAPE, path_of(action, SHAPE)), atol=1e-9)
+    assert len(outline(SHAPE)) <= 8

@@ -20,6 +20,7 @@ from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
 from testbed.objects.files import load_object
+from tests.helpers.commands import ended
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
 HEAD, SHAFT = (0.04, 0.09, 0.03), (0.20, 0.03, 0.02)
@@ -257,9 +258,8 @@ def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsy
     assert (tmp_path / "out" / "my_mallet.png").stat().st_size > 10_000
     main(["identify", str(tmp_path / "out" / "my_mallet.toml"), "--pivots", "0"])
     assert "my_mallet, rigid, " in capsys.readouterr().out
-    with pytest.raises(SystemExit) as ended:
-        main(["mesh", str(path), str(tmp_path / "none.stl"), "--out", str(tmp_path / "out")])
-    assert ended.value.code == 1 and "a mesh file; there is none" in capsys.readouterr().out
+    assert ended("mesh", str(path), str(tmp_path / "none.stl"), "--out", str(tmp_path / "out")) == 1
+    assert "a mesh file; there is none" in capsys.readouterr().out
     with pytest.raises(InvalidValueError, match="2, one per part"):
         made.masses((1.0, 2.0, 3.0))
 

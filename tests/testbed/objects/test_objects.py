@@ -1,16 +1,21 @@
-"""Block objects as particles: layouts, grasps, and the moments of a solid slab."""
+"""Block objects as particles: layouts, grasps, the moments of a solid slab, and colors of their groups."""
 
 import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 from numpy.testing import assert_allclose
 
 from testbed.errors import InvalidValueError
 from testbed.objects.blocks import parse_layout
+from testbed.objects.colors import GROUP_COLORS, group_color, group_rgba
 from testbed.objects.files import load_object
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
+from testbed.simulation.scene import build_scene
+from testbed.simulation.settings import SimulationSettings
+from testbed.trial import OWN_WEIGHT
 from tests.helpers.blocks import blocks
 
 SIZE = 0.05
@@ -69,24 +74,19 @@ def test_inner_blocks_of_a_row_are_gripped_across_it():
     assert blocks(["11", "11"]).shape.grasps == ()
 
 
-@pytest.mark.parametrize("grid", [1, 2, 3, 5])
-@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (6, 1), (3, 2)])
-def test_a_uniform_slab_has_the_moments_of_a_solid_rectangle(columns: int, rows: int, grid: int):
-    slab = blocks(["1" * columns] * rows, grid=grid)
-    mass = 0.4 * columns * rows
-    assert_allclose(slab.total_mass, mass, rtol=1e-12)
-    assert_allclose(slab.center_of_mass, 0, atol=1e-15)
-    assert_allclose(slab.inertia_cm, mass * SIZE**2 * (columns**2 + rows**2) / 12, rtol=1e-12)
-
-
-@pytest.mark.parametrize("grid", [1, 2, 4])
-def test_an_uneven_row_has_the_moments_of_its_blocks(grid: int):
-    row = blocks(["111111"], mass=ROW_MASS, grid=grid)
-    mass, x = np.array(ROW_MASS), (np.arange(6) - 2.5) * SIZE
+@pytest.mark.parametrize("grid", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize(
+    ("columns", "rows", "masses"), [(1, 1, [0.4]), (6, 1, [0.4] * 6), (3, 2, [0.4] * 6), (6, 1, ROW_MASS)]
+)
+def test_a_slab_has_the_moments_of_a_solid_rectangle_for_each_block(columns, rows, masses, grid: int):
+    slab, mass = blocks(["1" * columns] * rows, masses, grid=grid), np.array(masses)
+    x = (np.arange(len(mass)) % columns - (columns - 1) / 2) * SIZE
+    assert_allclose(slab.total_mass, mass.sum(), rtol=1e-12)
+    assert_allclose(slab.group_mass, mass, rtol=1e-12)
     center = mass @ x / mass.sum()
-    assert_allclose(row.center_of_mass, [center, 0], atol=1e-15)
-    assert_allclose(row.inertia_cm, mass @ ((x - center) ** 2 + SIZE**2 / 6), rtol=1e-12)
-    assert_allclose(row.group_mass, mass, rtol=1e-12)
+    assert_allclose(slab.center_of_mass, [center, 0], atol=1e-15)
+    about_middle = mass.sum() * SIZE**2 * (1 + rows**2) / 12 + mass @ (x - center) ** 2
+    assert_allclose(slab.inertia_cm, about_middle, rtol=1e-12)
 
 
 @pytest.mark.parametrize("grid", [1, 3])
@@ -206,3 +206,50 @@ def test_a_value_out_of_range_is_refused(make, changes: dict[str, object], field
     with pytest.raises(InvalidValueError) as refused:
         make(**changes)
     assert refused.value.field.endswith(field)
+
+
+SEEN_BY = {
+    "all cones": np.eye(3),
+    "no red cones": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+    "no green cones": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+    "no blue cones": [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]],
+}
+"""Linear RGB as it looks to eyes without a kind of cone (Machado 2009)."""
+LEAST = 0.08
+"""Least distance in OKLab at which two patches are told apart with ease; from black to white it is 1."""
+
+
+def oklab(linear: np.ndarray) -> np.ndarray:
+    """OKLab coordinates of linear RGB colors, (N, 3)."""
+    cones = np.array([[0.4122, 0.5363, 0.0514], [0.2119, 0.6807, 0.1074], [0.0883, 0.2817, 0.6300]])
+    parts = np.array([[0.2105, 0.7936, -0.0041], [1.9780, -2.4286, 0.4506], [0.0259, 0.7828, -0.8087]])
+    return np.cbrt(linear @ cones.T) @ parts.T
+
+
+@pytest.mark.parametrize("eyes", SEEN_BY)
+def test_twelve_groups_are_told_apart(eyes: str):
+    rgb = np.array([group_rgba(group)[:3] for group in range(12)])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = oklab(np.clip(linear @ np.array(SEEN_BY[eyes]).T, 0, 1))
+    apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)
+    assert apart[np.triu_indices(12, 1)].min() > LEAST
+
+
+def test_a_colour_is_the_same_in_both_spellings_and_comes_again():
+    assert group_rgba(4) == pytest.approx(to_rgba(group_color(4)))
+    assert group_color(len(GROUP_COLORS)) == group_color(0)
+
+
+@pytest.mark.parametrize("name", ["L2", "F2", "wrench"])
+def test_every_group_of_an_object_has_its_colour_in_the_scene(name: str):
+    obj = load_object(name)
+    model = build_scene(obj, OWN_WEIGHT, None, SimulationSettings()).model
+    looks: dict[int, list[np.ndarray]] = {}
+    for geom in range(model.ngeom):
+        part, _, number = model.geom(geom).name.partition("_")
+        if part in ("cell", "solid"):
+            group = int(obj.shape.mass_group[int(number)]) if part == "cell" else int(number)
+            looks.setdefault(group, []).append(model.geom_rgba[geom])
+    assert sorted(looks) == list(range(obj.shape.n_m))
+    for group, found in looks.items():
+        np.testing.assert_allclose(np.unique(found, axis=0), [group_rgba(group)], atol=1e-6)

@@ -10,7 +10,6 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.rank import between_particles
-from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.wrench import predicted_wrenches
 from scenarios.cli.main import main
@@ -33,6 +32,7 @@ from testbed.worlds.feet import Feet
 from testbed.worlds.presets import WORLDS, World
 from tests.helpers.answers import nad
 from tests.helpers.blocks import blocks
+from tests.helpers.commands import ended
 
 MASS = [0.1, 0.3, 0.2, 0.15, 0.25, 0.1]
 TWO_BY_THREE = """
@@ -94,13 +94,11 @@ def test_a_hand_too_small_is_said(tmp_path, capsys, monkeypatch):
         asked.on(shape, hand)
     assert asked.on(load_object("two_by_three.toml").shape).grasp == 0
     (tmp_path / "robot.toml").write_text("[gripper]\nstroke_m = 0.06\n")
-    for words, error in ((("two_by_three.toml",), said), (("two_by_three.toml", "--action", "slide"), said)):
-        with pytest.raises(SystemExit, match="2"):
-            main(["robot", "trial", *words, "--dry-run"])
-        assert error in capsys.readouterr().err
+    for words in ([], ["--action", "slide"]):
+        assert ended("robot", "trial", "two_by_three.toml", *words, "--dry-run") == 2
+        assert said in capsys.readouterr().err
     (tmp_path / "robot.toml").write_text("[gripper]\nstroke_m = 0.05\n")
-    with pytest.raises(SystemExit, match="2"):
-        main(["robot", "trial", "L2", "--grasp", "A2", "--dry-run"])
+    assert ended("robot", "trial", "L2", "--grasp", "A2", "--dry-run") == 2
     assert "grasp: got 'A2, 50 mm across'; allowed: 5 mm less than the hand's 50 mm" in capsys.readouterr().err
     main(["show", "two_by_three.toml"])
     row = next(line for line in capsys.readouterr().out.splitlines() if "A2-B2" in line)
@@ -285,8 +283,7 @@ def test_pads_are_printed_once_a_kind_and_only_for_known_feet(tmp_path: Path, ca
     (path,) = (tmp_path / "pads").iterdir()
     assert f"{path}: 49.0 x 49.0 x 4.5 mm" in (said := capsys.readouterr().out.replace("\n", " ")) and "print 3" in said
     assert trimesh.load_mesh(path).is_watertight
-    with pytest.raises(SystemExit, match="2"):
-        main(["show", "L2", "--pads", str(tmp_path / "none")])
+    assert ended("show", "L2", "--pads", str(tmp_path / "none")) == 2
     assert "[feet]" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
@@ -298,7 +295,7 @@ def test_without_noise_the_masses_come_out(name: str):
     with SimulationRunner() as bench:
         felt = [
             bench.run(Trial(tool, action))
-            for grasp, place in enumerate(shape.grasps)
+            for grasp, place in list(enumerate(shape.grasps))[::2]
             for action in (
                 Rotate(grasp, duration=4.0, back=True, pivot=between_particles(shape, place.position)),
                 Accelerate(grasp),
@@ -306,7 +303,5 @@ def test_without_noise_the_masses_come_out(name: str):
         ]
     answer = HiddenStates().estimate(shape, tool.total_mass, felt, seed=0)
     # what the particles miss of a mesh is more than the errors of a perfect sensor, and the misfit says so
-    assert answer.status in ("ok", "unexplained") and answer.distribution is not None
-    nad = normalized_absolute_difference(shape, answer.distribution, tool.truth)
-    print(f"{name}: NAD {100 * nad:.2f} %")
-    assert nad < 0.005
+    assert answer.status in ("ok", "unexplained")
+    assert nad(tool, answer) < 0.005

@@ -1,4 +1,4 @@
-"""The Kortex arm over its own process, against a fake Gen3 that runs in real time behind a fake `kortex_api`."""
+"""The Kortex arm over its own process, against a fake Gen3 that runs in real time: its driver, and faults in motion."""
 
 import ast
 import math
@@ -14,17 +14,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.testing import assert_allclose
 
 import testbed
+from estimators.action_selection.rank import RankDriven
+from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators.hidden_states.estimator import HiddenStates
+from testbed.objects.files import load_object
 from testbed.robot.interfaces import Arm, ArmLostError, ArmRefusedError, Gripper, MonotonicClock, Pose, RobotError
 from testbed.robot.kinova.arm import GEN3, KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.kinova.link import PYTHON_VARIABLE
 from testbed.simulation.motion import arm_model
+from testbed.simulation.runner import SimulationRunner
+from testbed.trial import Trial
 from tests.fakes.gen3 import FakeGen3, Faults
-from tests.fakes.rig import KORTEX
+from tests.fakes.rig import KORTEX, over_wires
 from tests.fakes.robot import small_object
+from tests.fakes.wire_faults import PHASES, WIRE_FAULTS, Phase, freeze_both, stopped_after
 from tests.fakes.world import Gen3World
 from tests.helpers.waiting import until
 
@@ -274,3 +282,49 @@ def test_what_runs_beside_heft_runs_in_an_old_python():
         ours = {name for name in imported if name.startswith("testbed")}
         assert ours <= {*(f"testbed.robot.kinova.{name}" for name in beside), "testbed.packages"}, path
         assert {name.split(".")[0] for name in imported - ours} <= set(sys.stdlib_module_names), path
+
+
+ELSEWHERE = (
+    "Ctrl-Z",
+    "kill -9 of the stand-by",
+    "SIGSTOP of the arm's process",
+    "arm resets the connection",
+    "SIGSTOP of the arm's process, and both are reset",
+)
+"""Faults that are struck in every phase; the others amid twists."""
+CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in ELSEWHERE else PHASES[:1])]
+
+
+@slow
+@pytest.mark.parametrize(("name", "phase"), CASES)
+def test_every_fault_stops_the_arm_and_ends_the_trial(name: str, phase: Phase, running: FakeGen3):
+    """By a command, long before it has gone as far as it was to go; the record does not say that all went well."""
+    outcome = stopped_after(running, WIRE_FAULTS[name], phase)
+    assert outcome.stop_s < 1.0
+    assert outcome.moved_mm < 25
+    assert "went on" not in outcome.said
+
+
+@slow
+def test_where_both_processes_are_frozen_the_arm_stops_itself(running: FakeGen3):
+    outcome = stopped_after(running, freeze_both, "twists", own_limit=True)
+    assert outcome.stop_s < 1.0 and outcome.moved_mm < 25
+
+
+@slow
+def test_the_real_path_ends_in_the_simulations_masses():
+    torch.set_num_threads(1)
+    model, policy, runner = load_object("L2"), RankDriven(pivots=4, duration=4.0, accelerated=0), SimulationRunner()
+    simulated = []
+    while (action := policy.next(model.shape, simulated)) is not None:
+        simulated.append(runner.run(Trial(model, action)))
+    real = over_wires(model, [t.action for t in simulated])
+    if len(real) < len(simulated):
+        pytest.skip("this machine is too busy for real time: trials ended as faults or came late")
+    nad = []
+    for trajectories in (simulated, real):
+        answer = HiddenStates().estimate(model.shape, model.total_mass, trajectories, 0)
+        assert answer.distribution is not None
+        nad.append(100 * normalized_absolute_difference(model.shape, answer.distribution, model.truth))
+    assert nad[1] < nad[0] + 1.0, [t.figures for t in real]
+    assert all(t.figures["lost_frames"] == 0 for t in real)

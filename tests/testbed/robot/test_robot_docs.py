@@ -10,11 +10,11 @@ from typing import Any, get_args, get_type_hints
 import pytest
 from pydantic import BaseModel
 
-from scenarios.cli.main import main
 from testbed.robot.config import ArmTable, BenchTable, CameraTable, GripperTable, LimitsTable, SensorTable
 from testbed.robot.kinova.arm import KortexArm
 from testbed.robot.robotiq.ft300s import Ft300s
 from testbed.validation import Range
+from tests.helpers.commands import ended
 from tests.helpers.pages import DOCS, names, table
 
 PAGE = (DOCS / "hardware.md").read_text(encoding="utf-8")
@@ -66,8 +66,7 @@ def test_the_shown_check_is_what_is_printed_without_hardware(tmp_path, monkeypat
     monkeypatch.delenv("HEFT_KORTEX_PYTHON", raising=False)
     monkeypatch.setattr("socket.create_connection", nobody)
     monkeypatch.setattr("testbed.robot.robotiq.serial_port.usb_serial_ports", list)
-    with pytest.raises(SystemExit, match="1"):
-        main(["robot", "check"])
+    assert ended("robot", "check") == 1
     printed = capsys.readouterr().out.replace(sys.executable, "python")
     shown = (
         PAGE.split("Without any hardware it says:\n\n```\n")[1].split("```")[0].replace(".venv/bin/python3", "python")

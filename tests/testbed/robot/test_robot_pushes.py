@@ -28,7 +28,7 @@ from testbed.trajectory import Phase
 from testbed.trial import RIGID, Trial
 from tests.fakes.lying_camera import DRAG, LIES, begins, in_links, shifted
 from tests.fakes.lying_camera import PUSH as PUSH_TRIAL
-from tests.fakes.robot import briefly, robot_for, run_trial, small_object
+from tests.fakes.robot import briefly, robot_for, run_trial
 
 OBJECT = PUSH_TRIAL.object
 PUSH = Push((0.05, -0.01), math.pi)
@@ -169,9 +169,8 @@ def test_an_honest_camera_is_no_liar(links):
         assert record.ok, record.reason
 
 
-LIFTED = small_object()
 STEEP = math.radians(21)
-TRIAL = Trial(LIFTED, Lift.stop_and_go(0), RIGID)
+TRIAL = Trial(OBJECT, Lift.stop_and_go(0), RIGID)
 
 
 def tilting(settings: RobotSettings) -> RobotSettings:
@@ -202,7 +201,7 @@ def test_the_leg_in_the_air_moves_as_it_says_it_does():
 
 @pytest.mark.parametrize("action", [Lift(0), Lift.stop_and_go(0)])
 def test_a_tilt_beyond_the_robot_files_limit_is_refused_before_it_moves(action):
-    trial = Trial(LIFTED, action, RIGID)
+    trial = Trial(OBJECT, action, RIGID)
     robot, runner = robot_for(trial)
     with runner, pytest.raises(InfeasibleTrialError, match=r"the action: tilt of the tool: 0\.\d+ rad; allowed"):
         runner.run(trial)
@@ -216,7 +215,7 @@ def test_a_tilt_beyond_the_robot_files_limit_is_refused_before_it_moves(action):
 
 
 def test_the_command_names_lifts():
-    shape = LIFTED.shape
+    shape = OBJECT.shape
     name = shape.grasps[1].name
     assert action_of(shape, "lift", name) == Lift(1)
     given = action_of(shape, "stop_and_go", name, seconds=1.5, tilt_deg=10.0)
@@ -228,8 +227,8 @@ def test_a_lift_on_the_arm_weighs_and_finds_the_center():
     record, robot = run_trial(TRIAL, change=tilting)
     assert record.ok, record.reason
     assert robot.world.grip < 0
-    truth = true_body(LIFTED)
-    found = least_squares_inertia(lift_equations(LIFTED.shape, [record])).parameters
+    truth = true_body(OBJECT)
+    found = least_squares_inertia(lift_equations(OBJECT.shape, [record])).parameters
     assert found.mass == pytest.approx(truth.mass, rel=0.01)
     assert_allclose(found.center_of_mass, truth.center_of_mass, atol=2e-3)
 

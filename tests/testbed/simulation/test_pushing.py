@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,12 +19,19 @@ from testbed.objects.model import GRAVITY, STROKE
 from testbed.sensing.push_windows import push_samples, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
+from testbed.trajectory import Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import world
 from tests.helpers.blocks import blocks
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 RUNNER = SimulationRunner()
+
+
+@cache
+def through_the_middle() -> Trajectory:
+    """Clean record of a push through the middle of the blocks."""
+    return RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, float(BLOCKS.center_of_mass[1])), 0.0, speed=0.05, length=0.08)))
 
 
 def pushes(count: int, seed: int) -> list[Push]:
@@ -40,8 +48,7 @@ def pushes(count: int, seed: int) -> list[Push]:
 @pytest.mark.slow
 def test_a_push_through_the_middle():
     """The object goes with the fingertip, against its friction; a camera sees it, and the hand does not."""
-    x, y = BLOCKS.center_of_mass
-    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, float(y)), 0.0, speed=0.05, length=0.08)))
+    (x, y), clean = BLOCKS.center_of_mass, through_the_middle()
     assert clean.ok and clean.reason == "" and clean.camera is not None and x > -0.05
     drag = BLOCKS.truth.friction[0] * BLOCKS.total_mass * GRAVITY
     drawn = draw_sensing(clean, preset("ideal"), 0)
@@ -80,15 +87,14 @@ def test_a_fingertip_slides_along_a_face_without_bouncing():
 @pytest.mark.slow
 def test_playback_shows_the_fingertip_at_the_object():
     """The hand is closed; the drawn fingertip touches the outline where the record has it."""
-    push = Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)
-    clean = RUNNER.run_clean(Trial(BLOCKS, push))
+    clean = through_the_middle()
     shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)
     sample = int(touching(draw_sensing(clean, preset("ideal"), 0))[-1])
     shown.show(sample)
     x, y, yaw = clean.object_pose[sample]
     tip = rotation_2d(-yaw) @ (shown.data.geom("fingertip").xpos[:2] - [x, y])
     assert room_at(BLOCKS.shape, tip) == pytest.approx(0.006, abs=3e-4)
-    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(push.fingertip(BLOCKS.shape).height, abs=5e-4)
+    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(clean.action.fingertip(BLOCKS.shape).height, abs=5e-4)
     assert shown.data.qpos[shown.model.joint("gripper/left_finger").qposadr[0]] == pytest.approx(STROKE / 2)
 
 

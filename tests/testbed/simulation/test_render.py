@@ -32,6 +32,7 @@ from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, Playback,
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase
 from testbed.trial import Trial
+from tests.helpers.commands import ended
 from tests.helpers.recorded import put_trial
 
 ROOT = Path(__file__).parents[3]
@@ -320,9 +321,8 @@ def test_a_machine_that_cannot_draw_reports_what_to_install(root, slide, tmp_pat
 )
 def test_a_wrong_option_is_refused_in_a_line(root, slide, capsys, monkeypatch, tmp_path, words, field):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        main(["view", "--film", str(root), *(slide.folder.name if word == "KEY" else word for word in words)])
-    assert end.value.code == 2
+    given = [slide.folder.name if word == "KEY" else word for word in words]
+    assert ended("view", "--film", str(root), *given) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"heft: {field}: got")
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import ImageGrab
 
 from scenarios.cli.film import grasp_index
-from scenarios.cli.main import main
 from scenarios.results.trials import read_trial
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -29,6 +28,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.simulation.watch import LiveTrial, Replay
 from testbed.trial import Trial
+from tests.helpers.commands import ended
 from tests.helpers.recorded import put_trial
 
 ROOT = Path(__file__).parents[3]
@@ -111,8 +111,7 @@ def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: p
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     for words in (["L2"], [str(tmp_path), put_trial(tmp_path, "L2", Slide(1, duration=0.1))]):
-        with pytest.raises(SystemExit, match="2"):
-            main(["watch", *words])
+        assert ended("watch", *words) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert (
             line.startswith("heft: cannot open a window: there is no display") and "heft view DIR TRIAL --film" in line

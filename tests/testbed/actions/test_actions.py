@@ -176,17 +176,27 @@ PATHS = [
 
 
 @pytest.mark.parametrize("action", PATHS, ids=str)
-def test_distance_is_the_integral_of_the_rate(action):
+def test_distance_is_the_integral_of_the_rate_and_that_is_as_stated(action):
     profile = action.profile(0.01)
     rate = np.concatenate([[0.0], profile.rate])
     assert_allclose(profile.distance, np.cumsum((rate[1:] + rate[:-1]) / 2) * 0.01, atol=1e-12)
     assert rate[-1] == pytest.approx(0.0)
+    for index, stretch in enumerate(action.steady):
+        ahead = np.sign(action.steady[0].speed) * profile.rate[profile.segment == index]
+        assert_allclose(np.diff(ahead), stretch.acceleration * 0.01, atol=1e-12)
+        assert ahead[0] == pytest.approx(stretch.speed, abs=abs(stretch.acceleration) * 0.01 + 1e-12)
+    if action.accelerated:
+        assert action.steady[0].speed == action.start_speed
+        assert tuple(stretch.acceleration for stretch in action.steady) == action.accelerations
+    else:
+        asked = [(action.speed, 0.0), (-action.speed, 0.0)][: len(action.steady)]
+        assert [(stretch.speed, stretch.acceleration) for stretch in action.steady] == asked
 
 
 @pytest.mark.parametrize("action", [*PATHS, Push.into(faces(SHAPE)[2], 0.4, 0.2, 5.0), Lift(1)], ids=str)
 def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_derivative(action):
     path, fine = (action.tool_path(SHAPE, np.array([0.4, 0.1, 0.3]), step) for step in (0.01, 0.001))
-    times = np.arange(1, len(fine.segment), 37) * 0.001
+    times = np.arange(1, len(fine.segment), 73) * 0.001
     poses, rates = (np.array(each) for each in zip(*map(fine.at, times), strict=True))
     ahead, behind = (np.array([fine.at(t + d)[0] for t in times]) for d in (5e-4, -5e-4))
     assert_allclose((ahead - behind) / 1e-3, rates, atol=2e-3)

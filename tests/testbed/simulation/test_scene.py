@@ -13,7 +13,7 @@ from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.frames import pose_from_point, transform_point
+from testbed.frames import transform_point
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.contacts import resting_loads
@@ -198,36 +198,29 @@ def tool_poses(motion: Motion, keep: np.ndarray) -> np.ndarray:
     return np.array(poses)
 
 
-@pytest.mark.parametrize("pivot", [None, (0.01, -0.02)])
-def test_a_turn_keeps_its_pivot_and_its_speed(pivot):
-    grasp = OBJECT.shape.grasps[2]
-    motion = plan_motion(Rotate(2, duration=6.0, pivot=pivot, back=True), OBJECT.shape, SETTINGS)
-    steady = motion.phase == Phase.STEADY
-    poses = tool_poses(motion, steady)
-    yaw = np.unwrap(poses[:, 3]) - grasp.angle
-    center = transform_point(
-        pose_from_point(poses[:, :2], grasp.position, yaw), grasp.position if pivot is None else np.array(pivot)
-    )
-    assert_allclose(center, np.broadcast_to(center[0], center.shape), atol=2e-5)
-    assert_allclose(poses[:, 2], SETTINGS.grip.tcp_height, atol=2e-6)
-    there = motion.segment[steady] == 0
-    assert_allclose(np.diff(yaw[there]) * 100, math.radians(10), rtol=1e-3)
-    assert_allclose(np.diff(yaw[~there]) * 100, -math.radians(10), rtol=1e-3)
-
-
-def test_a_slide_is_straight_and_steady():
-    motion = plan_motion(Slide(0, direction=0.5, duration=2.0), OBJECT.shape, SETTINGS)
-    steps = np.diff(tool_poses(motion, motion.phase == Phase.STEADY)[:, :2], axis=0) * 100
-    assert_allclose(np.linalg.norm(steps, axis=1), 0.05, rtol=1e-3)
-    assert np.ptp(np.arctan2(steps[:, 1], steps[:, 0])) < 1e-3
-
-
-def test_accelerations_are_held_one_after_the_other():
-    action = Accelerate(1)
+@pytest.mark.parametrize(
+    "action",
+    [
+        Rotate(2, duration=6.0, back=True),
+        Rotate(2, duration=6.0, pivot=(0.01, -0.02), back=True),
+        Slide(0, direction=0.5, duration=2.0),
+        Accelerate(1),
+    ],
+    ids=str,
+)
+def test_the_arm_goes_the_path_of_the_action(action):
+    """Places, and velocities by their differences, at the height of the grip; the joints' rates are their slopes."""
     motion = plan_motion(action, OBJECT.shape, SETTINGS)
-    for segment, wanted in enumerate(action.accelerations):
-        rate = motion.qd[motion.segment == segment, 6]
-        assert_allclose(np.diff(np.abs(rate)).mean() * 100, wanted, rtol=2e-2)
+    path = action.tool_path(OBJECT.shape, motion.object_pose, 0.01)
+    moving = np.flatnonzero(np.isin(motion.phase, (Phase.RAMP, Phase.STEADY)))
+    assert np.array_equal(motion.segment[moving], path.segment)
+    asked = np.array([path.at(0.01 * tick)[0][:4] for tick in range(1, len(moving) + 1)])
+    off = tool_poses(motion, moving) - asked - [0, 0, SETTINGS.grip.tcp_height, 0]
+    off[:, 3] = np.angle(np.exp(1j * off[:, 3]))
+    assert_allclose(off, 0, atol=2e-6)
+    assert_allclose(np.diff(off, axis=0), 0, atol=1e-7)
+    slopes, rates = np.diff(motion.q[moving], axis=0) / 0.01, motion.qd[moving]
+    assert_allclose(slopes, (rates[1:] + rates[:-1]) / 2, atol=1e-3)
 
 
 def test_the_object_lies_under_the_open_gripper_before_the_grasp():

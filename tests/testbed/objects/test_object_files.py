@@ -15,12 +15,14 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import asset_folder, load_object, object_names
 from testbed.toml import InvalidFileError
 
-PAIR = 'name = "X"\n[blocks]\nlayout = ["11"]\n'
+HEAD = 'name = "X"\n[blocks]\n'
+PAIR = HEAD + 'layout = ["11"]\n'
 
 
 @pytest.fixture
 def written(tmp_path: Path):
-    """Writes an object file and returns its path."""
+    """Writes an object file beside the mesh of the hammer's head, and returns its path."""
+    shutil.copy(asset_folder("objects") / "hammer_head.stl", tmp_path)
 
     def write(text: str) -> Path:
         path = tmp_path / "thing.toml"
@@ -74,50 +76,41 @@ def test_a_file_that_is_not_toml_is_named(tmp_path: Path, content: bytes):
         load_object(path)
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("mass_kg = -0.4", "mass_kg: got -0.4; allowed: greater than 0"),
-        ("mass_kg = 0", "mass_kg: got 0"),
-        ("mass_kg = [0.4, -0.1]", "mass_kg.1: got -0.1"),
-        ("mass_kg = nan", "mass_kg: got nan; allowed: a finite number"),
-        ("mass_kg = [0.4, inf]", "mass_kg.1: got inf"),
-        ('mass_kg = "0.4"', "mass_kg: got '0.4'; allowed: a valid number"),
-        ("mass_kg = true", "mass_kg: got True"),
-        ('mass_kg = ["0.4", 0.1]', "mass_kg.0: got '0.4'"),
-        ("mass_kg = [0.4]", "mass_kg: got [0.4]; allowed: 2 numbers >= 0, one per block, bottom row first"),
-        ("mass_kg = [0, 0]", "mass_kg: got [0.0, 0.0]"),
-        ("mass_kg = 0.4\nfriction = -0.5", "friction: got -0.5"),
-        ("mass_kg = 0.4\nfriction = nan", "friction: got nan"),
-        ("mass_kg = 0.4\nfriction = []", "friction: got []"),
-        ("mass_kg = 0.4\nfriction = [true]", "friction.0: got True"),
-        ("mass_kg = 0.4\nfriction = [0.4, 0.5]", "friction_group: got None; allowed: 2 integers, one per block"),
-        *((f"mass_kg = 0.4\nfriction_group = {bad}", f"friction_group: got {bad}; allowed: 2 integers")
-          for bad in ([0], [0, 7], [0, 1], [0, -2], [-1, -1])),
-        ('mass_kg = 0.4\nfriction_group = ["0", 0]', "friction_group.0: got '0'"),
-        ("mass_kg = 0.4\nfriction_group = [0, true]", "friction_group.1: got True"),
-        ('mass_kg = 0.4\nsize_m = "0.05"', "size_m: got '0.05'"),
-        ("mass_kg = 0.4\nsize_m = 0", "size_m: got 0"),
-        ("mass_kg = 0.4\nheight_m = true", "height_m: got True"),
-        ("mass_kg = 0.4\nheight_m = inf", "height_m: got inf"),
-        ("mass_kg = [9, 20]", "mass_kg: got 20.0; allowed: at most 15 kg in a block of 0.05 x 0.05 x 0.03 m"),
-        ("mass_kg = 0.4\nweight = 3", "weight: no such field; got 3"),
-        ('mass_kg = 0.4\nlayout = ["1", "0", "1"]', "layout: got 'A3 apart from A1'"),
-        ('mass_kg = 0.4\nlayout = ["1x"]', "layout: got 'x'"),
-        ("mass_kg = 0.4\nlayout = []", "layout: got []"),
-    ],
-)  # fmt: skip
-def test_a_wrong_field_is_refused_with_file_field_and_value(written, line: str, said: str):
-    head = PAIR.replace('layout = ["11"]\n', "") if "layout" in line else PAIR
-    path = written(head + line)
-    with pytest.raises(HeftError) as refused:
-        load_object(path)
-    assert f"{path}: blocks.{said}" in str(refused.value)
+WRONG_BLOCKS = [
+    ("mass_kg = -0.4", "mass_kg: got -0.4; allowed: greater than 0"),
+    ("mass_kg = 0", "mass_kg: got 0"),
+    ("mass_kg = [0.4, -0.1]", "mass_kg.1: got -0.1"),
+    ("mass_kg = nan", "mass_kg: got nan; allowed: a finite number"),
+    ("mass_kg = [0.4, inf]", "mass_kg.1: got inf"),
+    ('mass_kg = "0.4"', "mass_kg: got '0.4'; allowed: a valid number"),
+    ("mass_kg = true", "mass_kg: got True"),
+    ('mass_kg = ["0.4", 0.1]', "mass_kg.0: got '0.4'"),
+    ("mass_kg = [0.4]", "mass_kg: got [0.4]; allowed: 2 numbers >= 0, one per block, bottom row first"),
+    ("mass_kg = [0, 0]", "mass_kg: got [0.0, 0.0]"),
+    ("mass_kg = 0.4\nfriction = -0.5", "friction: got -0.5"),
+    ("mass_kg = 0.4\nfriction = nan", "friction: got nan"),
+    ("mass_kg = 0.4\nfriction = []", "friction: got []"),
+    ("mass_kg = 0.4\nfriction = [true]", "friction.0: got True"),
+    ("mass_kg = 0.4\nfriction = [0.4, 0.5]", "friction_group: got None; allowed: 2 integers, one per block"),
+    *((f"mass_kg = 0.4\nfriction_group = {bad}", f"friction_group: got {bad}; allowed: 2 integers")
+      for bad in ([0], [0, 7], [0, 1], [0, -2], [-1, -1])),
+    ('mass_kg = 0.4\nfriction_group = ["0", 0]', "friction_group.0: got '0'"),
+    ("mass_kg = 0.4\nfriction_group = [0, true]", "friction_group.1: got True"),
+    ('mass_kg = 0.4\nsize_m = "0.05"', "size_m: got '0.05'"),
+    ("mass_kg = 0.4\nsize_m = 0", "size_m: got 0"),
+    ("mass_kg = 0.4\nheight_m = true", "height_m: got True"),
+    ("mass_kg = 0.4\nheight_m = inf", "height_m: got inf"),
+    ("mass_kg = [9, 20]", "mass_kg: got 20.0; allowed: at most 15 kg in a block of 0.05 x 0.05 x 0.03 m"),
+    ("mass_kg = 0.4\nweight = 3", "weight: no such field; got 3"),
+    ('mass_kg = 0.4\nlayout = ["1", "0", "1"]', "layout: got 'A3 apart from A1'"),
+    ('mass_kg = 0.4\nlayout = ["1x"]', "layout: got 'x'"),
+    ("mass_kg = 0.4\nlayout = []", "layout: got []"),
+]  # fmt: skip
 
 
 def test_all_errors_of_a_file_are_told_at_once(written):
     with pytest.raises(InvalidFileError) as refused:
-        load_object(written(PAIR.replace('layout = ["11"]\n', "") + "size_m = -1\ncolor = 3"))
+        load_object(written(HEAD + "size_m = -1\ncolor = 3"))
     for said in ("blocks.layout: missing", "blocks.size_m: got -1", "blocks.color: no such field"):
         assert said in str(refused.value)
 
@@ -139,21 +132,11 @@ def test_a_grid_that_is_no_count_is_refused(grid: object):
 
 PARTS = '[[mesh.parts]]\nname = "head"\nfile = "hammer_head.stl"\nmass_kg = 1.2\n'
 GRASP = '[[mesh.grasps]]\nname = "middle"\nat_m = [0.02, 0.0]\nclosing_deg = 0\n'
+MESH_FILE = 'name = "X"\n[mesh]\ncell_m = 0.01\n' + PARTS + GRASP
 
 
-@pytest.fixture
-def written_mesh(written, tmp_path: Path):
-    """Writes an object file of the hammer's head, with its mesh beside it, and returns its path."""
-    shutil.copy(asset_folder("objects") / "hammer_head.stl", tmp_path)
-
-    def write(mesh: str = "cell_m = 0.01\n", rest: str = PARTS + GRASP) -> Path:
-        return written(f'name = "X"\n[mesh]\n{mesh}{rest}')
-
-    return write
-
-
-def test_a_mesh_file_with_defaults(written_mesh):
-    made = load_object(written_mesh())
+def test_a_mesh_file_with_defaults(written):
+    made = load_object(written(MESH_FILE))
     assert made.truth.friction.tolist() == [0.5]
     assert made.shape.group_names == ("head",)
     assert [g.name for g in made.shape.grasps] == ["middle"]
@@ -161,48 +144,51 @@ def test_a_mesh_file_with_defaults(written_mesh):
     assert_allclose(made.shape.cell, 0.01)
 
 
-def test_a_file_has_blocks_or_a_mesh(written, written_mesh):
-    for text, given in (
-        ('name = "X"', "neither"),
-        (written_mesh().read_text() + "[blocks]\nlayout = ['1']\nmass_kg = 1", "both"),
-    ):
+def test_a_file_has_blocks_or_a_mesh(written):
+    for text, given in (('name = "X"', "neither"), (MESH_FILE + "[blocks]\nlayout = ['1']\nmass_kg = 1", "both")):
         with pytest.raises(InvalidFileError) as refused:
             load_object(written(text))
         assert f"blocks or mesh: got '{given}'; allowed: exactly one of [blocks] and [mesh]" in str(refused.value)
 
 
+WRONG_MESHES = [
+    ("", PARTS, "mesh.cell_m: missing"),
+    ("cell_m = 0\n", PARTS, "mesh.cell_m: got 0"),
+    ("cell_m = 0.5\n", PARTS, "mesh.cell_m: got 0.5; allowed: less than or equal to 0.1"),
+    ("cell_m = nan\n", PARTS, "mesh.cell_m: got nan"),
+    ('cell_m = "0.01"\n', PARTS, "mesh.cell_m: got '0.01'; allowed: a valid number"),
+    ("cell_m = 0.01\nfriction = -1\n", PARTS, "mesh.friction: got -1; allowed: greater than or equal to 0"),
+    ("cell_m = 0.01\nfriction = []\n", PARTS, "mesh.friction: got []; allowed: a number >= 0, or a list of one"),
+    ("cell_m = 0.01\nfriction = [0.3, 0.4]\n", PARTS, "mesh.parts.friction_group: got [None]; allowed: an integer"),
+    ("cell_m = 0.01\n", PARTS + "friction_group = 1", "mesh.parts.friction_group: got [1]; allowed: an integer"),
+    ("cell_m = 0.01\n", PARTS + "friction_group = -1", "mesh.parts.0.friction_group: got -1"),
+    ("cell_m = 0.01\n", PARTS + "friction_group = true", "mesh.parts.0.friction_group: got True"),
+    ("cell_m = 0.01\nsize = 3\n", PARTS, "mesh.size: no such field; got 3"),
+    ("cell_m = 0.01\n", "parts = []", "mesh.parts: got []"),
+    ("cell_m = 0.01\n", "", "mesh.parts: missing"),
+    ("cell_m = 0.01\n", PARTS.replace("1.2", "0"), "mesh.parts.0.mass_kg: got 0; allowed: greater than 0"),
+    ("cell_m = 0.01\n", PARTS.replace("1.2", "inf"), "mesh.parts.0.mass_kg: got inf"),
+    ("cell_m = 0.01\n", PARTS + "weight = 1", "mesh.parts.0.weight: no such field; got 1"),
+    ("cell_m = 0.01\n", PARTS * 2, "mesh.parts: got ['head', 'head']; allowed: names that differ"),
+    ("cell_m = 0.01\n", PARTS.replace("head.stl", "tail.stl"), "mesh.parts.0.file: got 'hammer_tail.stl'"),
+    ("cell_m = 0.01\n", PARTS + GRASP.replace(", 0.0", ""), "mesh.grasps.0.at_m: got [0.02]"),
+    ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "nan"), "mesh.grasps.0.at_m.0: got nan"),
+    ("cell_m = 0.01\n", PARTS + GRASP.replace("0\n", "true\n"), "mesh.grasps.0.closing_deg: got True"),
+    ("cell_m = 0.01\n", PARTS + GRASP * 2, "mesh.grasps: got ['middle', 'middle']; allowed: names that differ"),
+    ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "0.2"), "mesh.grasps.0.at_m: got [0.2, 0.0]"),
+    ("cell_m = 0.01\n", PARTS + GRASP.replace("= 0\n", "= 90\n"), "mesh.grasps.0.at_m: got '110 mm across'"),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("mesh", "rest", "said"),
+    ("text", "said"),
     [
-        ("", PARTS, "mesh.cell_m: missing"),
-        ("cell_m = 0\n", PARTS, "mesh.cell_m: got 0"),
-        ("cell_m = 0.5\n", PARTS, "mesh.cell_m: got 0.5; allowed: less than or equal to 0.1"),
-        ("cell_m = nan\n", PARTS, "mesh.cell_m: got nan"),
-        ('cell_m = "0.01"\n', PARTS, "mesh.cell_m: got '0.01'; allowed: a valid number"),
-        ("cell_m = 0.01\nfriction = -1\n", PARTS, "mesh.friction: got -1; allowed: greater than or equal to 0"),
-        ("cell_m = 0.01\nfriction = []\n", PARTS, "mesh.friction: got []; allowed: a number >= 0, or a list of one"),
-        ("cell_m = 0.01\nfriction = [0.3, 0.4]\n", PARTS, "mesh.parts.friction_group: got [None]; allowed: an integer"),
-        ("cell_m = 0.01\n", PARTS + "friction_group = 1", "mesh.parts.friction_group: got [1]; allowed: an integer"),
-        ("cell_m = 0.01\n", PARTS + "friction_group = -1", "mesh.parts.0.friction_group: got -1"),
-        ("cell_m = 0.01\n", PARTS + "friction_group = true", "mesh.parts.0.friction_group: got True"),
-        ("cell_m = 0.01\nsize = 3\n", PARTS, "mesh.size: no such field; got 3"),
-        ("cell_m = 0.01\n", "parts = []", "mesh.parts: got []"),
-        ("cell_m = 0.01\n", "", "mesh.parts: missing"),
-        ("cell_m = 0.01\n", PARTS.replace("1.2", "0"), "mesh.parts.0.mass_kg: got 0; allowed: greater than 0"),
-        ("cell_m = 0.01\n", PARTS.replace("1.2", "inf"), "mesh.parts.0.mass_kg: got inf"),
-        ("cell_m = 0.01\n", PARTS + "weight = 1", "mesh.parts.0.weight: no such field; got 1"),
-        ("cell_m = 0.01\n", PARTS * 2, "mesh.parts: got ['head', 'head']; allowed: names that differ"),
-        ("cell_m = 0.01\n", PARTS.replace("head.stl", "tail.stl"), "mesh.parts.0.file: got 'hammer_tail.stl'"),
-        ("cell_m = 0.01\n", PARTS + GRASP.replace(", 0.0", ""), "mesh.grasps.0.at_m: got [0.02]"),
-        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "nan"), "mesh.grasps.0.at_m.0: got nan"),
-        ("cell_m = 0.01\n", PARTS + GRASP.replace("0\n", "true\n"), "mesh.grasps.0.closing_deg: got True"),
-        ("cell_m = 0.01\n", PARTS + GRASP * 2, "mesh.grasps: got ['middle', 'middle']; allowed: names that differ"),
-        ("cell_m = 0.01\n", PARTS + GRASP.replace("0.02", "0.2"), "mesh.grasps.0.at_m: got [0.2, 0.0]"),
-        ("cell_m = 0.01\n", PARTS + GRASP.replace("= 0\n", "= 90\n"), "mesh.grasps.0.at_m: got '110 mm across'"),
+        *(((HEAD if "layout" in line else PAIR) + line, f"blocks.{said}") for line, said in WRONG_BLOCKS),
+        *((f'name = "X"\n[mesh]\n{mesh}{rest}', said) for mesh, rest, said in WRONG_MESHES),
     ],
-)  # fmt: skip
-def test_a_wrong_mesh_file_is_refused(written_mesh, mesh: str, rest: str, said: str):
-    path = written_mesh(mesh, rest)
+)
+def test_a_wrong_field_is_refused_with_file_field_and_value(written, text: str, said: str):
+    path = written(text)
     with pytest.raises(HeftError) as refused:
         load_object(path)
     assert f"{path}: {said}" in str(refused.value)

@@ -1,6 +1,6 @@
 """Another bench's logs, made from a trajectory: odd units, frames and rates, and the mapping to them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -125,6 +125,26 @@ def refused(log: Path, mapping: dict[str, Any]) -> str:
     with pytest.raises(HeftError) as error:
         imported(log, mapping)
     return str(error.value)
+
+
+def write_messages(
+    path: Path,
+    messages: Iterable[tuple[str, str, int, bytes]],
+    encoding: str = "json",
+    schema: tuple[str, bytes] = ("jsonschema", b"{}"),
+    **options: Any,
+) -> Path:
+    """File of messages (topic, type, time [ns], content), of one encoding, whose types have one definition."""
+    mcap = pytest.importorskip("mcap.writer")
+    with path.open("wb") as file:
+        writer, channels = mcap.Writer(file, **options), {}
+        writer.start("ros2" if encoding == "cdr" else "")
+        for topic, kind, stamp, content in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, encoding, writer.register_schema(kind, *schema))
+            writer.add_message(channels[topic], stamp, content, stamp)
+        writer.finish()
+    return path
 
 
 def at_other_rates(t: Trajectory, sensor_hz: float, hand_hz: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:

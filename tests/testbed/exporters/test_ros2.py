@@ -93,8 +93,9 @@ def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
 
 @pytest.mark.slow
 def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
-    time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(measured(0).time_s)))
-    given = replace(measured(0), time_s=time - time[0])
+    turn = measured(0)
+    time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(turn.time_s)))
+    given = replace(turn, time_s=time - time[0])
     path = exported(given, tmp_path)
     log = open_messages(path)
     for topic, (series, names) in FIELDS.items():

@@ -27,8 +27,16 @@ from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import SteadyWindow
 from testbed.trajectory import Phase, Trajectory
-from tests.fakes.lab_bench import EPOCH, import_csv, mapping_of, phases_of, refused, write_csv, write_toml
-from tests.fakes.mcap_log import write_messages
+from tests.fakes.lab_bench import (
+    EPOCH,
+    import_csv,
+    mapping_of,
+    phases_of,
+    refused,
+    write_csv,
+    write_messages,
+    write_toml,
+)
 from tests.helpers.records import series_of
 from tests.helpers.simulated import clean
 

@@ -8,7 +8,7 @@ from testbed.importers.columns import Columns, TimeMap
 from testbed.importers.logs import LogError
 from testbed.importers.messages import open_messages
 from testbed.importers.tables import TableLog
-from tests.fakes.mcap_log import write_messages
+from tests.fakes.lab_bench import write_messages
 
 pytest.importorskip("mcap.writer")
 RECURSIVE = f"a/A x\n{'=' * 80}\nMSG: a/A\na/A y\n"

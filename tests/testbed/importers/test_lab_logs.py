@@ -34,9 +34,9 @@ from tests.fakes.lab_bench import (
     refused,
     write_csv,
     write_joined_csv,
+    write_messages,
     write_toml,
 )
-from tests.fakes.mcap_log import write_messages
 from tests.helpers.records import series_of
 from tests.helpers.simulated import clean
 

@@ -19,7 +19,7 @@ from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import MessageLog, open_messages
 from testbed.importers.poses import hand_pose
 from testbed.trajectory import Trajectory
-from tests.fakes.mcap_log import write_messages
+from tests.fakes.lab_bench import write_messages
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 from mcap.reader import make_reader  # noqa: E402  an extra

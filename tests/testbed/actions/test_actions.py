@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,8 +123,9 @@ def test_a_trial_of_a_name_is_refused(field: str, value: str):
 
 
 @pytest.mark.parametrize(("kind", "fields", "field"), REFUSED)
-def test_an_action_out_of_range_is_refused(kind, fields: dict[str, object], field: str):
-    given = ({"point": (0.0, 0.0), "direction": 0.0} if kind is Push else {"grasp": 0}) | fields
+def test_an_action_out_of_range_is_refused(kind, fields: dict[str, Any], field: str):
+    least: dict[str, Any] = {"point": (0.0, 0.0), "direction": 0.0} if kind is Push else {"grasp": 0}
+    given = least | fields
     for make in (lambda: kind(**given), lambda: action_from_dict({"kind": kind.kind} | given)):
         with pytest.raises(InvalidValueError) as refused:
             make()

@@ -88,13 +88,15 @@ def test_a_fingertip_slides_along_a_face_without_bouncing():
 def test_playback_shows_the_fingertip_at_the_object():
     """The hand is closed; the drawn fingertip touches the outline where the record has it."""
     clean = through_the_middle()
+    fingertip = clean.action.fingertip(BLOCKS.shape)
+    assert fingertip is not None
     shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)
     sample = int(touching(draw_sensing(clean, preset("ideal"), 0))[-1])
     shown.show(sample)
     x, y, yaw = clean.object_pose[sample]
     tip = rotation_2d(-yaw) @ (shown.data.geom("fingertip").xpos[:2] - [x, y])
     assert room_at(BLOCKS.shape, tip) == pytest.approx(0.006, abs=3e-4)
-    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(clean.action.fingertip(BLOCKS.shape).height, abs=5e-4)
+    assert shown.data.geom("fingertip").xpos[2] == pytest.approx(fingertip.height, abs=5e-4)
     assert shown.data.qpos[shown.model.joint("gripper/left_finger").qposadr[0]] == pytest.approx(STROKE / 2)
 
 

@@ -288,7 +288,7 @@ def clean() -> Trajectory:
 
 def seen(record: Trajectory | None = None, **quantity: float) -> tuple[Trajectory, WorldDraw]:
     """The record of a perfect sensor in a world in which only these quantities err, and the draw."""
-    draw = alone(**quantity)
+    draw = alone(L2, 1, **quantity)
     record = clean() if record is None else record
     marked = replace(record, provenance=record.provenance | draw.provenance)
     return draw_sensing(marked, preset("ideal"), 0), draw
@@ -304,7 +304,7 @@ def steady_part() -> np.ndarray:
 
 def test_gain_and_crosstalk_mix_the_axes_of_the_sensor():
     for quantity in ("gain", "crosstalk"):
-        record, draw = seen(**{quantity: 0.02})
+        record, draw = seen(None, **{quantity: 0.02})
         assert_allclose(record.sensor_wrench, clean().sensor_wrench @ response(draw).T, atol=1e-12)
         assert (response(draw)[0, 0] == 1) == (quantity == "crosstalk")
     more = compensate(replace(clean(), sensor_wrench=1.02 * clean().sensor_wrench))

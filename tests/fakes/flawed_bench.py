@@ -19,6 +19,13 @@ def biased(trajectory: Trajectory, bias: np.ndarray, stated: np.ndarray | float 
     return replace(trajectory, wrench_on_object_world=wrench, sensor_bias_std=np.broadcast_to(stated, 6))
 
 
+def turns_beside(obj: ObjectModel, beside: np.ndarray | tuple[float, float], count: int = 6) -> list[Rotate]:
+    """Turns there and back, each about a point that lies so far from a grasp, m, object frame; grasp after grasp."""
+    grasps = [k % len(obj.shape.grasps) for k in range(count)]
+    pivots = [tuple(np.add(obj.shape.grasps[g].position, beside)) for g in grasps]
+    return [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(grasps, pivots, strict=True)]
+
+
 def at_tcp(trajectory: Trajectory, bias: np.ndarray) -> np.ndarray:
     """A sensor's bias about the TCP, in the axes of the object, which the hand holds, (6,)."""
     assert trajectory.tool is not None

@@ -1,25 +1,48 @@
-"""Estimates of an object's trials, and their distance from the truth."""
+"""Trials of an object in the analytic world, their windows and estimates, and the distance of these from the truth."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from estimators.base import Estimate, Estimator
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.lifts import lifts_among
+from estimators.particles.observe import observe
+from estimators.particles.windows import Observations
 from estimators.posterior.in_air import InAir
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import FRICTION, FRICTION_STD, MASS_STD
 from estimators.posterior.solver import solve
 from estimators.posterior.unknowns import Block, Unknowns
+from estimators.testing.analytic_world import accelerated, turns
+from estimators.wrench.model import ModelErrors
 from estimators.wrench.setup import stated_sizes
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
+
+
+def trials_of(obj: ObjectModel, **world: object) -> list[Trajectory]:
+    """A turn there and back and an accelerated turn about every grasp."""
+    return turns(obj, **world) + accelerated(obj, **world)
+
+
+def windows_of(obj: ObjectModel, trials: Sequence[Trajectory], errors: ModelErrors | None = None) -> Observations:
+    """Windows of trials, some of them usable."""
+    windows = observe(obj.shape, trials, errors)
+    assert windows is not None
+    return windows
+
+
+def true_values(obj: ObjectModel) -> dict[str, Tensor]:
+    """True masses and frictions, by the names that forward models have for them."""
+    return {"mass": torch.tensor(obj.truth.mass), "friction": torch.tensor(obj.truth.friction)}
 
 
 def ask(obj: ObjectModel, trajectories: Sequence[Trajectory], method: Estimator | None = None) -> Estimate:
@@ -31,6 +54,18 @@ def found(answer: Estimate) -> MassDistribution:
     """Masses and frictions of an estimate that has them."""
     assert answer.distribution is not None, answer.message
     return answer.distribution
+
+
+def claimed(answer: Estimate) -> Float[np.ndarray, "n_m"]:
+    """Standard errors of the masses that an estimate states, kg a particle."""
+    assert answer.covariance is not None, answer.message
+    return np.sqrt(np.diag(answer.covariance))
+
+
+def holds(answer: Estimate, masses: Sequence[float] | Float[np.ndarray, "n_m"], within: float = 0.0) -> bool:
+    """True if the masses of all groups lie between the least and the most that an estimate states, kg."""
+    low, high = ([answer.diagnostics[f"{end}_{g}_kg"] for g in range(len(masses))] for end in ("least", "most"))
+    return bool(np.all(np.subtract(low, within) <= masses) and np.all(masses <= np.add(high, within)))
 
 
 def nad(obj: ObjectModel, answer: Estimate) -> float:

@@ -9,6 +9,8 @@ import numpy as np
 import rerun_cli
 from rerun.chunk import RrdReader
 
+from viz.recordings.page import Page, save
+
 
 @dataclass
 class Entity:
@@ -51,3 +53,10 @@ def verify(path: Path) -> None:
     """Raises where `rerun rrd verify` finds a fault."""
     program = Path(rerun_cli.__file__).with_name("rerun")  # without the start of Python
     subprocess.run([program, "rrd", "verify", path], check=True, capture_output=True)
+
+
+def logged(page: Page, path: Path) -> dict[str, Entity]:
+    """Entities of a page, written to a file in which no fault is found."""
+    save(page, path)
+    verify(path)
+    return read_chunks(path)

@@ -16,8 +16,8 @@ from scenarios.results.store import write_arrays
 from scenarios.results.table import write_rows
 from scenarios.views.report import report
 from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
 from testbed.toml import toml_text
+from tests.helpers.rows import row
 from viz.figures.loss import normalised
 from viz.report.report import inline_svg, mapped_objects, middle_object
 from viz.report.tables import (
@@ -37,20 +37,6 @@ REASON = '"><img src=x onerror=alert(1)> & more'
 SECTIONS = ("result", "run", "tables", "distributions", "losses", "maps", "worst", "failures")
 VOID = {"meta", "br", "wbr", "img", "hr", "link", "input"}
 NAD = {"hidden_states": (0.0123, 0.0151), "random_search": (0.411, 0.473), "diff_lcp": (0.2, 0.3)}
-
-
-def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: object) -> dict:
-    """One estimate."""
-    mass = np.array(load_object("L2").group_mass)
-    columns = {
-        "object": name, "support": "own_weight", "sensing": "ft300s", "seed": seed, "method": method, "kind": method,
-        "status": "ok", "message": "", "nad": nad, "seconds": 1.0 + seed + (nad or 0), "robot_s": 300.0,
-        "mass_kg": None if nad is None else (mass * (1 + nad)).tolist(), "true_mass_kg": mass.tolist(),
-        "group_names": list(load_object("L2").shape.group_names),
-        "mpd_open_loop_m": 0.0111, "mpd_turn_m": 0.0222,
-        "mpd_open_loop_of_truth_m": 0.0033, "mpd_turn_of_truth_m": 0.0044, "trial_keys": ["weighing", "turn"],
-    }  # fmt: skip
-    return columns | more
 
 
 def write(folder: Path, rows: list[dict]) -> Path:

@@ -22,10 +22,10 @@ from testbed.simulation.rendering import body_poses
 from testbed.trajectory import Trajectory
 from tests.fakes.analytic_links import analytic_links
 from tests.fakes.analytic_push import analytic_pushes
-from tests.helpers.chunks import Entity, read_chunks, verify
-from tests.viz.test_report import row
+from tests.helpers.chunks import Entity, logged
+from tests.helpers.rows import row
 from viz.figures.trials import trials_figure
-from viz.recordings.page import SIM_TIME, Page, save
+from viz.recordings.page import SIM_TIME, Page
 from viz.recordings.trial import log_trial, trial_blueprint
 from viz.report.report import Results, render
 from viz.report.trials import trials_table
@@ -63,9 +63,9 @@ def recorded(path: Path, model: ObjectModel, trajectory: Trajectory) -> dict[str
     poses = body_poses(trajectory, (0.02, 0.04), meshes=False, every=100)
     fit = wrench_fit("", trajectory, None)
     view = TrialView("", model.shape, trajectory, poses, trajectory.time_s[::100], fit, truth=model.truth)
-    save(Page("x", "x", lambda stream: log_trial(stream, "t", view), trial_blueprint("t", view), SIM_TIME), path)
-    verify(path)
-    return read_chunks(path)
+    return logged(
+        Page("x", "x", lambda stream: log_trial(stream, "t", view), trial_blueprint("t", view), SIM_TIME), path
+    )
 
 
 @pytest.mark.slow

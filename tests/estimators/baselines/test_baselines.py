@@ -15,11 +15,12 @@ from estimators.baselines.explicit_state import ExplicitState
 from estimators.baselines.optimizers import LeastSquares
 from estimators.baselines.sampling import RandomSearch, WeightedSampling, _grid
 from estimators.descent import OPTIMIZERS
-from estimators.testing.analytic_world import accelerated, drawn_object, turns
+from estimators.testing.analytic_world import drawn_object, turns
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.trajectory import Trajectory
-from tests.helpers.answers import found, nad
+from tests.helpers.answers import ask as answered
+from tests.helpers.answers import claimed, found, nad, trials_of
 from tests.helpers.blocks import blocks
 
 SEARCHES = (RandomSearch, WeightedSampling)
@@ -34,16 +35,12 @@ TWO = blocks(["11"], [0.3, 0.1], 0.4, grid=2)
 THREE = blocks(["10", "11"], [0.3, 0.1, 0.2], 0.4, grid=2)
 
 
-def data(obj: ObjectModel) -> list[Trajectory]:
-    return turns(obj) + accelerated(obj)
-
-
 def ask(
     obj: ObjectModel, method: Baseline, trajectories: list[Trajectory] | None = None, seed: int = 0, **settings: object
 ) -> Estimate:
     # the analytic world knows the center of a turn exactly
     exact = replace(method, **{"pivot_error": 0.0} | settings)
-    given = data(obj) if trajectories is None else trajectories
+    given = trials_of(obj) if trajectories is None else trajectories
     return exact.estimate(obj.shape, obj.total_mass, given, seed)
 
 
@@ -91,7 +88,7 @@ def test_explicit_state_without_m_finds_the_valley_and_crawls_along_it():
     ids=["random", "weighted", "explicit", "lcp"],
 )
 def test_a_larger_budget_comes_nearer_to_the_truth(obj, method, budgets, seeds, bound):
-    given = data(obj)
+    given = trials_of(obj)
     errors = [
         median(nad(obj, ask(obj, replace(method, iterations=budget), given, seed)) for seed in range(seeds))
         for budget in budgets
@@ -148,10 +145,12 @@ def test_m_is_kept_exactly_if_given_and_ignored_if_not(method):
     assert told.status != "underdetermined", "with M, constant speed is enough"
     for mass in (found(told).mass, *(trace.mass for trace in told.traces)):
         assert_allclose(mass @ THREE.shape.particles_per_group, THREE.total_mass, rtol=1e-12)
-    blind, heavy = (found(quick(method).estimate(THREE.shape, m, data(THREE), 0)) for m in (None, 5.0))
+    blind, heavy, again = (
+        found(quick(method).estimate(THREE.shape, weight, trials_of(THREE), seed))
+        for weight, seed in ((None, 0), (5.0, 0), (None, 4))
+    )
     assert np.array_equal(blind.mass, heavy.mass)
-    # what is given decides, and the seed
-    assert not np.allclose(found(quick(method).estimate(THREE.shape, None, data(THREE), 4)).mass, blind.mass)
+    assert not np.allclose(again.mass, blind.mass)  # what is given decides, and the seed
 
 
 @pytest.mark.parametrize("method", SEARCHES)
@@ -171,7 +170,7 @@ def test_traces_lead_to_the_answer(method):
     assert len(answer.traces) == (1 if method in SEARCHES else len(OPTIMIZERS))
     for trace in answer.traces:
         assert len(trace.loss) == len(trace.seconds) == len(trace.mass) == budget
-        assert trace.robot_seconds == pytest.approx(sum(t.time_s[-1] - t.time_s[0] for t in data(THREE)))
+        assert trace.robot_seconds == pytest.approx(sum(t.time_s[-1] - t.time_s[0] for t in trials_of(THREE)))
     lowest = [min(trace.loss) for trace in answer.traces]
     assert lowest == sorted(lowest)
     assert lowest[0] == pytest.approx(answer.diagnostics["loss"], rel=1e-9)
@@ -238,12 +237,10 @@ def test_two_friction_groups_are_searched_too(method):
 @pytest.mark.parametrize("use_weight", [False, True])
 def test_masses_double_exactly_with_the_wrenches(method, use_weight):
     # light, so that no draw comes near the density of steel
-    light = blocks(["10", "11"], [0.003, 0.001, 0.002])
-    twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in data(light)]
-    kind = quick(method, use_weight=use_weight)
-    once = kind.estimate(light.shape, light.total_mass, data(light), 0).distribution
-    double = kind.estimate(light.shape, 2 * light.total_mass, twice, 0).distribution
-    assert once is not None and double is not None
+    light, kind = blocks(["10", "11"], [0.003, 0.001, 0.002]), quick(method, use_weight=use_weight)
+    twice = [replace(t, wrench_on_object_world=2 * t.wrench_on_object_world) for t in trials_of(light)]
+    once = found(kind.estimate(light.shape, light.total_mass, trials_of(light), 0))
+    double = found(kind.estimate(light.shape, 2 * light.total_mass, twice, 0))
     # many steps amplify rounding, and more so where it decides the side of a polygon's corner
     rounding = 1e-4 if method is DiffLcp else 1e-6
     assert_allclose(double.mass, 2 * once.mass, rtol=rounding)
@@ -255,10 +252,9 @@ def test_least_squares_claims_the_errors_that_its_answers_have():
     off = []
     for seed in range(4):
         obj = drawn_object(seed)
-        trials = turns(obj, noise=0.1) + accelerated(obj, noise=0.1)
-        answer = LeastSquares().estimate(obj.shape, obj.total_mass, trials, 0)
-        assert answer.status == "ok" and answer.covariance is not None
-        off.append((found(answer).mass - obj.truth.mass) / np.sqrt(np.diag(answer.covariance)))
+        answer = answered(obj, trials_of(obj, noise=0.1), LeastSquares())
+        assert answer.status == "ok"
+        off.append((found(answer).mass - obj.truth.mass) / claimed(answer))
     spread = np.sqrt(np.mean(np.concatenate(off) ** 2))
     assert 0.1 < spread < 1.5, spread
     assert ask(TWO, LeastSquares(weighting="velocity")).covariance is None

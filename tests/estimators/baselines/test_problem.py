@@ -15,8 +15,6 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import inertia_map, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.observe import observe
-from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads
 from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
@@ -26,6 +24,7 @@ from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
+from tests.helpers.answers import true_values, windows_of
 from tests.helpers.blocks import blocks
 
 CARRIED = {"lift": 0.4, "moment": (0.004, -0.003)}
@@ -44,14 +43,23 @@ def cut(grid: int, friction_groups: int = 1) -> ObjectModel:
     return blocks(["101", "111"], mass, friction, [i % friction_groups for i in range(5)], grid=grid)
 
 
-def problem_of(obj: ObjectModel, trajectories: list[Trajectory], pivot_error: float = 0.0) -> Problem:
-    problem = Problem.of(obj.shape, obj.total_mass, trajectories, use_weight=False, errors=ModelErrors(pivot_error))
+def problem_of(
+    obj: ObjectModel,
+    trials: list[Trajectory],
+    pivot_error: float = 0.0,
+    errors: ModelErrors | None = None,
+    *,
+    use_weight: bool = False,
+) -> Problem:
+    errors = errors or ModelErrors(pivot_error)
+    problem = Problem.of(obj.shape, obj.total_mass, trials, use_weight=use_weight, errors=errors)
     assert isinstance(problem, Problem), problem
     return problem
 
 
 def truth(obj: ObjectModel) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.tensor(obj.truth.mass), torch.tensor(obj.truth.friction)
+    mass, friction = true_values(obj).values()
+    return mass, friction
 
 
 def guesses(obj: ObjectModel, count: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -159,9 +167,8 @@ def covariance_of(problem: Problem) -> torch.Tensor:
 def test_errors_are_counted_as_algorithm_1_counts_them(errors: ModelErrors):
     obj = drawn_object(0)
     trials = turns(obj, noise=0.02)
-    problem = Problem.of(obj.shape, obj.total_mass, trials, use_weight=True, errors=errors)
+    problem = problem_of(obj, trials, errors=errors, use_weight=True)
     ours = TrialWindows.of(obj.shape, obj.total_mass, trials, errors)
-    assert isinstance(problem, Problem)
     assert ours is not None
     guess = ours.first_guess()
     for _ in range(ROUNDS):
@@ -176,13 +183,9 @@ def test_errors_are_counted_as_algorithm_1_counts_them(errors: ModelErrors):
 @pytest.mark.slow
 def test_the_torque_of_an_accelerated_turn_is_as_wrong_as_its_moment_of_inertia():
     obj = drawn_object(0)
-    given = everything(obj)
     with_, without = (
-        Problem.of(obj.shape, obj.total_mass, given, use_weight=True, errors=ModelErrors(inertia_error=part))
-        for part in (0.1, 0.0)
+        problem_of(obj, everything(obj), errors=ModelErrors(inertia_error=part), use_weight=True) for part in (0.1, 0.0)
     )
-    assert isinstance(with_, Problem)
-    assert isinstance(without, Problem)
     more = covariance_of(with_) - covariance_of(without)
     spread = torch.diagonal(more).reshape(-1, 6)
     windows = with_.windows
@@ -196,8 +199,7 @@ def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
     if grid == 1:
         monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
     obj = cut(grid)
-    windows, model = observe(obj.shape, everything(obj, **CARRIED)), ParticleModel.of(obj.shape)
-    assert isinstance(windows, Observations)
+    windows, model = windows_of(obj, everything(obj, **CARRIED)), ParticleModel.of(obj.shape)
     loads = AffineLoads.of(obj.shape, model, windows)
     masses = guesses(obj, 6)[0]
     for mass, found in zip(masses, loads.at(masses), strict=True):
@@ -232,8 +234,7 @@ def test_mass_is_known_by_weighing_or_by_an_acceleration_alone():
     steady = problem_of(obj, turns(obj))
     assert not steady.scale_known
     assert problem_of(obj, turns(obj) + accelerated(obj, [0])).scale_known
-    told = Problem.of(obj.shape, obj.total_mass, turns(obj), use_weight=True, errors=ModelErrors(0.0))
-    assert isinstance(told, Problem)
+    told = problem_of(obj, turns(obj), use_weight=True)
     assert told.scale_known
     assert_allclose(told.typical_mass(torch.ones(3)) * len(obj.shape.particles), obj.total_mass)
     # what the largest drag weighs at a friction; a turn beside the middle never feels the whole of it
@@ -258,21 +259,17 @@ def test_insufficient_data_has_its_status(given, status, why):
 
 @pytest.mark.parametrize("weight", [None, 0.0, -1.0, float("nan"), float("inf")])
 def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(weight):
+    given = OBJECT.shape, weight, turns(OBJECT)
     with pytest.raises(InvalidValueError, match=r"^weight: "):
-        Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=True, errors=ModelErrors(0.0))
-    assert isinstance(
-        Problem.of(OBJECT.shape, weight, turns(OBJECT), use_weight=False, errors=ModelErrors(0.0)), Problem
-    )
+        Problem.of(*given, use_weight=True, errors=ModelErrors(0.0))
+    assert isinstance(Problem.of(*given, use_weight=False, errors=ModelErrors(0.0)), Problem)
 
 
 def test_the_wrench_is_linear_in_mass_and_in_friction():
     obj = cut(2, 2)
     problem = problem_of(obj, everything(obj))
     (mass, other), (friction, another) = guesses(obj, 2)
-
-    def wrench(m: torch.Tensor, f: torch.Tensor) -> torch.Tensor:
-        return problem.wrenches.wrench(m, f)
-
+    wrench = problem.wrenches.wrench
     zero = wrench(0 * mass, friction)
     assert_allclose(wrench(mass + other, friction) + zero, wrench(mass, friction) + wrench(other, friction), atol=1e-11)
     still = wrench(mass, 0 * friction)

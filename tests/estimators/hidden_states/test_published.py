@@ -25,7 +25,7 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
-from tests.helpers.answers import ask, found, nad
+from tests.helpers.answers import ask, found, nad, trials_of
 
 L2 = load_object("L2")
 METHOD = PublishedHiddenStates()
@@ -35,7 +35,7 @@ MINIMUM = PublishedHiddenStates(solver="closed_form")
 @cache
 def published_answer(obj: ObjectModel) -> Estimate:
     """Answer to exact trials about every grasp."""
-    return ask(obj, turns(obj) + accelerated(obj), METHOD)
+    return ask(obj, trials_of(obj), METHOD)
 
 
 def windows_of(obj: ObjectModel, wander: float = 0.0) -> TrialWindows:
@@ -107,7 +107,7 @@ def test_the_particle_at_the_center_of_a_turn_stands_still_though_the_center_wan
 @pytest.mark.parametrize("name", ["I2", "L2", "F2", 0, 1])
 def test_the_exact_minimum_is_the_truth_where_data_are_exact(name):
     obj = load_object(name) if isinstance(name, str) else drawn_object(name)
-    answer = ask(obj, turns(obj) + accelerated(obj), MINIMUM)
+    answer = ask(obj, trials_of(obj), MINIMUM)
     assert answer.status == "ok" and nad(obj, answer) < 1e-5
     assert_allclose(found(answer).friction, obj.truth.friction, rtol=1e-5)
     assert answer.hidden is not None
@@ -140,8 +140,7 @@ def test_a_trace_starts_from_uniform_mass_and_ends_at_the_estimate():
 
 @pytest.mark.slow
 def test_the_load_of_the_gripper_is_taken_off_where_asked():
-    carried = {"lift": 0.5, "moment": (0.004, -0.003)}
-    trials = turns(L2, **carried) + accelerated(L2, **carried)
+    trials = trials_of(L2, lift=0.5, moment=(0.004, -0.003))
     assert nad(L2, ask(L2, trials, replace(MINIMUM, gripper_load=True))) < 1e-3
     assert nad(L2, ask(L2, trials, MINIMUM)) > 0.02
 
@@ -192,5 +191,4 @@ def test_masses_of_two_frictions_follow_from_all_of_h():
 )
 def test_too_little_is_a_status_and_no_number(trials, status):
     answer = ask(L2, trials, METHOD)
-    assert (answer.status, answer.distribution) == (status, None)
-    assert answer.message
+    assert (answer.status, answer.distribution) == (status, None) and answer.message

@@ -21,11 +21,10 @@ from estimators.hidden_states.masses import (
 )
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior import table_errors
 from estimators.posterior.scale import Weighing
-from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
+from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
@@ -34,6 +33,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP
+from tests.helpers.answers import trials_of, windows_of
 from tests.helpers.blocks import blocks
 
 NAMES = ("I2", "L2", "F2")
@@ -153,12 +153,6 @@ def pivots_about(obj: ObjectModel, points: np.ndarray) -> PivotInertia:
     return PivotInertia(points, about(obj, points), np.full(len(points), 1e-12))
 
 
-def observed(obj: ObjectModel, trajectories: list[Trajectory]) -> Observations:
-    found = observe(obj.shape, trajectories)
-    assert found is not None
-    return found
-
-
 def slopes(
     obj: ObjectModel, windows: Observations, relative_error: float = 0.0, guess: MassDistribution | None = None
 ) -> PivotInertia:
@@ -179,13 +173,14 @@ def with_torque(windows: Observations, torque: np.ndarray) -> Observations:
 @pytest.mark.parametrize("name", ["I1", "I2", "L1", "L2", "F1", "F2"])
 def test_the_slope_is_the_moment_of_inertia(name):
     obj = load_object(name)
-    found = slopes(obj, observed(obj, turns(obj) + accelerated(obj)))
+    windows = windows_of(obj, trials_of(obj))
+    found = slopes(obj, windows)
     assert len(found.pivot) == len(obj.shape.grasps)
     # the turn is steady to rounding; acceleration itself is a slope of samples
     assert_allclose(found.inertia, about(obj, found.pivot), rtol=1e-5)
     even = MassDistribution(np.full(obj.shape.n_m, obj.total_mass / len(obj.shape.particles)), obj.truth.friction)
     # a center of mass that is elsewhere is unknown within the object's reach, and the arm swings: off by a part of that
-    guessed = slopes(obj, observed(obj, turns(obj) + accelerated(obj)), guess=even)
+    guessed = slopes(obj, windows, guess=even)
     assert_allclose(guessed.inertia, about(obj, found.pivot), rtol=1.5e-3)
     assert_allclose(inertia_map(obj.shape, found.pivot) @ obj.truth.mass, about(obj, found.pivot))
 
@@ -193,13 +188,13 @@ def test_the_slope_is_the_moment_of_inertia(name):
 def test_turns_of_both_directions_about_one_point_are_one_pivot():
     there = Accelerate(1)
     back = Accelerate(1, tuple(-a for a in there.accelerations), start_speed=-there.start_speed)
-    found = slopes(L2, observed(L2, [*turns(L2), analytic_trial(L2, there), analytic_trial(L2, back)]))
+    found = slopes(L2, windows_of(L2, [*turns(L2), analytic_trial(L2, there), analytic_trial(L2, back)]))
     assert_allclose(found.pivot, [L2.shape.grasps[1].position], atol=1e-9)
     assert_allclose(found.inertia, about(L2, found.pivot), rtol=1e-5)
 
 
 def test_a_constant_of_every_trial_is_taken_away():
-    windows = observed(F2, [*turns(F2)[:1], *(analytic_trial(F2, Accelerate(grasp)) for grasp in (0, 0, 2))])
+    windows = windows_of(F2, [*turns(F2)[:1], *(analytic_trial(F2, Accelerate(grasp)) for grasp in (0, 0, 2))])
     constant = np.array([0.0, 0.3, -0.2, 0.1])[windows.trial]
     assert_allclose(slopes(F2, with_torque(windows, constant)).inertia, slopes(F2, windows).inertia, rtol=1e-9)
 
@@ -207,8 +202,10 @@ def test_a_constant_of_every_trial_is_taken_away():
 @pytest.mark.slow
 def test_the_variance_is_the_scatter_of_the_slopes(monkeypatch):
     monkeypatch.setattr(table_errors, "SWING", 0.0)  # this arm does not swing
-    clean = observed(L2, [*turns(L2)[:1], analytic_trial(L2, Accelerate(0))])
-    noisy = observed(L2, [*turns(L2, noise=0.2)[:1], analytic_trial(L2, Accelerate(0), noise=0.2)])
+    clean, noisy = (
+        windows_of(L2, [*turns(L2, noise=noise)[:1], analytic_trial(L2, Accelerate(0), noise=noise)])
+        for noise in (0.0, 0.2)
+    )
     rng, runs = np.random.default_rng(0), []
     for _ in range(150):
         noise = rng.standard_normal(len(clean)) * noisy.covariance[:, 2, 2].sqrt().numpy()
@@ -281,6 +278,10 @@ PRECISE = 1e-6
 """Error of every load, N, and of the weight, kg, where the hidden states are exact."""
 
 
+SIX = [0.4, 0.1, 0.2, 0.3, 0.4, 0.2]
+"""Masses of six blocks, kg."""
+
+
 def exact_loads(obj: ObjectModel) -> tuple[tuple[tuple[int, int], ...], np.ndarray]:
     """Pairs of groups in contact and s = mu m g of one particle of each, all weight on the pair's own feet, N."""
     pairs = LoadGroups.of(ParticleModel.of(obj.shape)).pairs
@@ -294,23 +295,14 @@ def exact_pivots(obj: ObjectModel, error: float = 1e-8) -> PivotInertia:
     return PivotInertia(points, inertia_map(obj.shape, points) @ obj.truth.mass, np.full(len(points), error**2))
 
 
-def solved(obj: ObjectModel, pivots: PivotInertia | None) -> MassSolution:
-    pairs, loads = exact_loads(obj)
-    return solve_masses(
-        obj.shape,
-        obj.total_mass,
-        Weighing.of(obj.shape, PRECISE, EXACT_SETUP),
-        pairs,
-        loads,
-        PRECISE**2 * np.eye(len(loads)),
-        pivots,
-    )
-
-
-def grouped(layout: list[str], friction: list[float], groups: list[int]) -> ObjectModel:
-    """Six blocks of different mass in given friction groups."""
-    mass = [0.4, 0.1, 0.2, 0.3, 0.4, 0.2]
-    return blocks(layout, mass, friction, groups)
+def solved(
+    obj: ObjectModel, pivots: PivotInertia | None, loads: np.ndarray | None = None, variance: float = PRECISE**2
+) -> MassSolution:
+    """Masses and frictions by hidden states, the loads exact if left out."""
+    pairs, exact = exact_loads(obj)
+    loads, weighing = exact if loads is None else loads, Weighing.of(obj.shape, PRECISE, EXACT_SETUP)
+    covariance = variance * np.eye(len(loads))
+    return solve_masses(obj.shape, obj.total_mass, weighing, pairs, loads, covariance, pivots)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -349,14 +341,14 @@ def test_a_block_that_stands_on_part_of_itself_weighs_all_of_it():
 def test_as_many_frictions_as_claimed_are_told_apart_and_no_more(name, layout, most):
     for count in (most, most + 1):
         groups = [i % count for i in range(6)]
-        obj = grouped(layout, np.linspace(0.3, 0.7, count).tolist(), groups)
+        obj = blocks(layout, SIX, np.linspace(0.3, 0.7, count).tolist(), groups)
         found = solved(obj, exact_pivots(obj))
         assert (found.rank == found.unknowns) == (count == most), name
 
 
 @pytest.mark.parametrize("least", [0.0, 1e-5])
 def test_the_mass_of_a_frictionless_group_comes_from_weight_and_inertia(least):
-    obj = grouped(["1", "1", "1", "111"], [0.5, least], [0, 0, 0, 0, 0, 1])
+    obj = blocks(["1", "1", "1", "111"], SIX, [0.5, least], [0, 0, 0, 0, 0, 1])
     found = solved(obj, exact_pivots(obj)).distribution
     assert_allclose(found.mass, obj.truth.mass, rtol=1e-6)
     assert least or abs(found.friction - obj.truth.friction).max() < 1e-6
@@ -364,16 +356,8 @@ def test_the_mass_of_a_frictionless_group_comes_from_weight_and_inertia(least):
 
 def test_no_mass_is_below_zero_when_the_loads_are_noise():
     obj = drawn_object(0)
-    pairs, loads = exact_loads(obj)
-    loads = np.where(np.arange(len(loads)) == 2, 0.0, loads)
-    found = solve_masses(
-        obj.shape,
-        obj.total_mass,
-        Weighing.of(obj.shape, PRECISE, EXACT_SETUP),
-        pairs,
-        loads,
-        1e-4 * np.eye(len(loads)),
-        None,
-    )
+    loads = exact_loads(obj)[1]
+    loads[2] = 0.0
+    found = solved(obj, None, loads, 1e-4)
     assert (found.distribution.mass >= 0).all()
     assert found.distribution.mass[2] == pytest.approx(0, abs=1e-9)

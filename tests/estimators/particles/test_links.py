@@ -10,12 +10,12 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.drags import RandomDrags
+from estimators.base import Estimate
 from estimators.evaluation.metrics import hinge_columns
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
 from estimators.particles.motion import LinkMotion, Planned
-from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR, Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
@@ -43,6 +43,7 @@ from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
 from testbed.worlds.setup_errors import SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.helpers.answers import ask, claimed, found, nad, true_values, windows_of
 from tests.helpers.blocks import blocks
 
 slow = pytest.mark.slow
@@ -71,6 +72,11 @@ def drags(obj: ObjectModel) -> list[Slide | Rotate]:
         Rotate(one, duration=2.5, pivot=beside[0]),
         Rotate(two, duration=2.5, pivot=beside[1]),
     ]
+
+
+def hinges_of(obj: ObjectModel, answer: Estimate) -> list[float]:
+    """Frictions of all hinges, N m."""
+    return [answer.diagnostics[f"hinge_{hinge}_Nm"] for hinge in range(len(obj.hinge_friction))]
 
 
 @cache
@@ -143,11 +149,10 @@ def test_hinges_join_links_and_rates_are_those_of_places():
 )
 def test_masses_and_hinges_are_recovered_without_noise(obj: ObjectModel, rates: dict[str, float], within: float):
     trials = [analytic_links(obj, action, **rates) for action in drags(obj)]
-    found = HiddenStates(pivot_error=1e-8, refinements=5).estimate(obj.shape, obj.total_mass, trials, 0)
-    assert found.status == "ok" and found.distribution is not None
-    assert_allclose(found.distribution.mass, obj.truth.mass, rtol=within)
-    hinges = [found.diagnostics[f"hinge_{h}_Nm"] for h in range(len(obj.hinge_friction))]
-    assert_allclose(hinges, obj.hinge_friction, rtol=within)
+    answer = ask(obj, trials, HiddenStates(pivot_error=1e-8, refinements=5))
+    assert answer.status == "ok"
+    assert_allclose(found(answer).mass, obj.truth.mass, rtol=within)
+    assert_allclose(hinges_of(obj, answer), obj.hinge_friction, rtol=within)
 
 
 @slow
@@ -177,11 +182,10 @@ def residuals(obj: ObjectModel, windows: Observations) -> Float[np.ndarray, "K 3
 def test_rows_change_with_the_place_in_the_hand_as_counted(offset: tuple[float, float]):
     drag = Rotate(0, duration=6.0, pivot=(0.0, 0.04))
     grasps = [replace(g, position=g.position + offset) for g in TWO.shape.grasps]
-    off = observe(TWO.shape, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
-    assert off is not None
+    off = windows_of(TWO, [analytic_links(replace(TWO, shape=replace(TWO.shape, grasps=tuple(grasps))), drag)])
     on_table = OnTable.of(TWO.shape, off, "own_weight", ModelErrors(pivot_error=0.0))
     unknowns = priors(TWO.shape, SetupErrors(grasp_offset=1e-3), ModelErrors(), TWO.total_mass, 1)
-    unknowns = unknowns.given(mass=torch.tensor(TWO.truth.mass), friction=torch.tensor(TWO.truth.friction))
+    unknowns = unknowns.given(**true_values(TWO))
     slopes = on_table.linearized(unknowns, unknowns.start()).slopes.unflatten(0, on_table.read.shape)
     # the grip is farther along: the object lies back in the hand
     expected = (-slopes[..., unknowns.at["grasp_offset"]] @ torch.tensor(offset, dtype=torch.float64) / 1e-3).numpy()
@@ -197,9 +201,7 @@ def test_a_hinge_that_stands_has_no_row():
         analytic_links(stiff, drags(stiff)[0])
     trajectory = SimulationRunner().run(Trial(stiff, Rotate(0, duration=3.0, pivot=(-0.03, 0.02))))
     trial = TrialWindows.of(stiff.shape, stiff.total_mass, [trajectory], EXACT)
-    assert trial is not None
-    equations = trial.friction_equations(stiff.truth)
-    assert not equations.wide["hinge_friction"].any()
+    assert trial is not None and not trial.friction_equations(stiff.truth).wide["hinge_friction"].any()
 
 
 @slow
@@ -207,9 +209,9 @@ def test_a_hinge_that_never_turns_is_not_seen():
     half = bar([2, 2, 2], list(THREE.truth.mass * THREE.shape.particles_per_group), [0.004, 1.0])
     more = [Rotate(0, duration=4.0, pivot=(-0.09, 0.02)), Slide(0, -np.pi / 2, duration=4.0)]
     trials = [SimulationRunner().run(Trial(half, action)) for action in [*drags(THREE), *more]]
-    found = HiddenStates().estimate(half.shape, half.total_mass, trials, 0)
-    assert found.status == "ok" and found.message == "hinge 1 stands in every window: its friction is not observed"
-    columns = hinge_columns(half.hinge_friction, found.diagnostics)
+    answer = ask(half, trials)
+    assert answer.status == "ok" and answer.message == "hinge 1 stands in every window: its friction is not observed"
+    columns = hinge_columns(half.hinge_friction, answer.diagnostics)
     assert_allclose(columns["hinge_Nm"], [0.004, np.nan], rtol=0.02)
     assert columns["hinge_error"] < 0.02 and np.isnan(columns["hinge_error_Nm"][1])
 
@@ -218,11 +220,9 @@ def test_a_hinge_that_never_turns_is_not_seen():
 def test_errors_of_a_camera_count():
     exact = trials_of(TWO)
     seen = [replace(t, camera=draw_camera(t.camera, CAMERAS["30hz"], seed)) for seed, t in enumerate(exact) if t.camera]
-    sharp, blurred = (HiddenStates().estimate(TWO.shape, TWO.total_mass, each, 0) for each in (exact, seen))
-    assert sharp.covariance is not None and blurred.covariance is not None
-    assert (np.diag(blurred.covariance) > 5 * np.diag(sharp.covariance)).all()  # sharp poses leave the model's errors
-    without = [replace(t, camera=None) for t in exact]
-    assert HiddenStates().estimate(TWO.shape, TWO.total_mass, without, 0).status == "no_data"
+    sharp, blurred = (claimed(ask(TWO, each)) for each in (exact, seen))
+    assert (blurred**2 > 5 * sharp**2).all()  # sharp poses leave the model's errors
+    assert ask(TWO, [replace(t, camera=None) for t in exact]).status == "no_data"
 
 
 @slow
@@ -230,29 +230,34 @@ def test_every_method_takes_links_or_says_why_not():
     trials = trials_of(TWO)[:2]
     # `learned` needs a trained file first: its own tests have its refusals
     for name in set(METHODS) - {"cma_es", "nelder_mead", "random_search", "weighted_sampling", "learned"}:
-        found = build_method(name, {}).estimate(TWO.shape, TWO.total_mass, trials, 0)
+        answer = ask(TWO, trials, build_method(name, {}))
         knows = name in ("hidden_states", "bayes", "support_aware", "least_squares")
-        assert (found.status == "assumption_violated") == (not knows), name
-        assert knows or "with hinges, which this method takes for one piece" in found.message
+        assert (answer.status == "assumption_violated") == (not knows), name
+        assert knows or "with hinges, which this method takes for one piece" in answer.message
 
 
-def test_what_is_not_built_for_links_is_refused():
-    with pytest.raises(InvalidValueError, match="a rigid object; see `predicted_drags`"):
-        predicted_windows(TWO.shape, [Slide(0)], preset("ideal"))
-    with pytest.raises(InvalidValueError, match="own_weight and no push, of an object with hinges"):
-        SimulationRunner().run(Trial(TWO, Slide(0), RIGID))
-    with pytest.raises(InvalidValueError, match="links 0 to 1, each with a mass group"):
-        Chain(np.array([0, 0]), np.array([[0.0, 0.0]]))
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: predicted_windows(TWO.shape, [Slide(0)], preset("ideal")), "a rigid object; see `predicted_drags`"),
+        (
+            lambda: SimulationRunner().run(Trial(TWO, Slide(0), RIGID)),
+            "own_weight and no push, of an object with hinges",
+        ),
+        (lambda: Chain(np.array([0, 0]), np.array([[0.0, 0.0]])), "links 0 to 1, each with a mass group"),
+    ],
+)
+def test_what_is_not_built_for_links_is_refused(call, said):
+    with pytest.raises(InvalidValueError, match=said):
+        call()
 
 
 @slow
 def test_a_policy_of_drags_ends_and_takes_no_refused_action():
-    shape, found = TWO.shape, []
-    first = RandomDrags(3).next(shape, found)
+    first = RandomDrags(3).next(TWO.shape, [])
     assert first is not None
-    assert RandomDrags(3, refused={first: "out of reach"}).next(shape, found) not in (first, None)
-    trial = trials_of(TWO)[0]
-    assert RandomDrags(3).next(shape, [trial] * 3) is None
+    assert RandomDrags(3, refused={first: "out of reach"}).next(TWO.shape, []) not in (first, None)
+    assert RandomDrags(3).next(TWO.shape, trials_of(TWO)[:1] * 3) is None
 
 
 @slow
@@ -267,14 +272,10 @@ def test_simulated_links_are_recovered(obj: ObjectModel):
             trials.append(runner.run(Trial(obj, action)))
         except InfeasibleTrialError as error:
             refused[action] = str(error)
-    found = HiddenStates().estimate(obj.shape, obj.total_mass, trials, 0)
-    assert found.status == "ok" and found.distribution is not None
-    error = np.abs(found.distribution.mass - obj.truth.mass) @ obj.shape.particles_per_group / obj.total_mass
-    hinges = np.array([found.diagnostics[f"hinge_{h}_Nm"] for h in range(len(obj.hinge_friction))])
-    assert error < 0.02
-    assert_allclose(hinges, obj.hinge_friction, atol=0.02 * max(obj.hinge_friction))
-    windows = observe(obj.shape, trials)
-    assert windows is not None and windows.articulated
+    answer = ask(obj, trials)
+    assert answer.status == "ok" and nad(obj, answer) < 0.02
+    assert_allclose(hinges_of(obj, answer), obj.hinge_friction, atol=0.02 * max(obj.hinge_friction))
+    assert windows_of(obj, trials).articulated
 
 
 I2 = load_object("I2")
@@ -283,9 +284,10 @@ I2 = load_object("I2")
 @pytest.fixture(scope="module")
 def windows():
     records = [SimulationRunner().run_clean(Trial(I2, Accelerate(grasp))) for grasp in (0, 1, 4)]
-    found = observe(I2.shape, [draw_sensing(record, preset("ideal"), 0) for record in records])
-    assert found is not None
-    return found
+    return windows_of(I2, [draw_sensing(record, preset("ideal"), 0) for record in records])
+
+
+MASS, FRICTION = true_values(I2).values()
 
 
 def missing(windows):
@@ -293,8 +295,7 @@ def missing(windows):
     model = ParticleModel.of(I2.shape)
     loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
     wrenches = WrenchModel.of(model, windows, loads, ModelErrors.pivot_error)
-    truth = torch.tensor(I2.truth.mass), torch.tensor(I2.truth.friction)
-    return (windows.wrench - wrenches.wrench(*truth))[:, :2]
+    return (windows.wrench - wrenches.wrench(MASS, FRICTION))[:, :2]
 
 
 @pytest.mark.slow
@@ -308,8 +309,7 @@ def test_feet_lead_by_the_time_of_their_damping(windows):
 def test_the_column_of_the_lead_is_what_it_leaves(windows):
     model, errors = ParticleModel.of(I2.shape), ModelErrors()
     loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
-    drag = model.particle_friction(torch.tensor(I2.truth.friction)) * loads.at(torch.tensor(I2.truth.mass))
-    mass = model.particle_mass(torch.tensor(I2.truth.mass))
+    drag, mass = model.particle_friction(FRICTION) * loads.at(MASS), model.particle_mass(MASS)
     table = windows.table(model, errors.pivot_error).dragged(drag)
     column = errors.lead_error * table.linearized({"mass": mass} | zeros(lead=()))[1]["lead"][:, :2].flatten()
     left = missing(windows).flatten()

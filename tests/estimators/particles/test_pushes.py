@@ -9,7 +9,6 @@ import pytest
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.quasi_static import Drag
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
 from estimators.posterior import table_errors
 from estimators.registry import build_method
@@ -21,15 +20,11 @@ from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.push_windows import WINDOW, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from tests.fakes.analytic_push import analytic_pushes, drag_of, steady_pushes
+from tests.helpers.answers import ask, claimed, found, windows_of
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
 """2 x 3 blocks of known masses, which no hand can grip across."""
 CENTERS = np.random.default_rng(1).uniform(-0.2, 0.2, (8, 2))
-
-
-def error(estimate) -> float:
-    """Greatest error of a group's mass, over its mass."""
-    return float(np.abs(estimate.distribution.mass / BLOCKS.truth.mass - 1).max())
 
 
 def test_a_pushed_disc():
@@ -75,15 +70,13 @@ def test_the_fingertip_sticks_or_slides_at_the_edge_of_its_cone():
 @pytest.mark.slow
 def test_masses_from_pushes_without_noise():
     trials = steady_pushes(BLOCKS, CENTERS)
-    found = HiddenStates(pivot_error=1e-7).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
-    assert found.status == "ok" and error(found) < 1e-6
-    for method in ("least_squares", "cma_es"):
-        found = build_method(method, {}).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
-        assert found.status == "ok" and error(found) < 3e-5, method
-    found = build_method("support_aware", {}).estimate(BLOCKS.shape, BLOCKS.total_mass, trials, 0)
-    assert found.distribution is not None and found.covariance is not None
-    off = np.abs(found.distribution.mass - BLOCKS.truth.mass)
-    assert (off < 0.5 * np.sqrt(np.diag(found.covariance))).all()  # shrinkage toward the prior
+    methods = {name: (build_method(name, {}), 3e-5) for name in ("least_squares", "cma_es")}
+    for name, (method, most) in ({"hidden_states": (HiddenStates(pivot_error=1e-7), 1e-6)} | methods).items():
+        answer = ask(BLOCKS, trials, method)
+        assert answer.status == "ok" and np.abs(found(answer).mass / BLOCKS.truth.mass - 1).max() < most, name
+    answer = ask(BLOCKS, trials, build_method("support_aware", {}))
+    off = np.abs(found(answer).mass - BLOCKS.truth.mass)
+    assert (off < 0.5 * claimed(answer)).all()  # shrinkage toward the prior
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.2])
@@ -103,8 +96,8 @@ def test_a_fast_push_has_windows_over_as_long_a_way(speed):
 @pytest.mark.slow
 def test_the_rank_of_q_grows_within_one_push():
     push = Push((0.05, -0.01), math.radians(-160), length=0.1, speed=0.05, friction=3.0)
-    windows, model = observe(BLOCKS.shape, analytic_pushes(BLOCKS, [push])), ParticleModel.of(BLOCKS.shape)
-    assert windows is not None and bool(windows.pushed.all())
+    windows, model = windows_of(BLOCKS, analytic_pushes(BLOCKS, [push])), ParticleModel.of(BLOCKS.shape)
+    assert bool(windows.pushed.all())
     q = LoadGroups.of(model).gather(windows.drag_rows(model, 0.0)).numpy()
     ranks = [rank_of(q[: count + 1].reshape(-1, 6)) for count in range(len(windows))]
     assert ranks == sorted(ranks) and ranks[0] <= 3 < ranks[-1]
@@ -145,10 +138,6 @@ def test_intervals_hold_under_a_camera(monkeypatch):
     for seed in range(10):
         trials = steady_pushes(BLOCKS, rng.uniform(-0.2, 0.2, (12, 2)), seconds=2.0)
         seen = [draw_camera(t.camera, CAMERAS["30hz"], 100 * seed + i) for i, t in enumerate(trials) if t.camera]
-        found = HiddenStates().estimate(
-            BLOCKS.shape, BLOCKS.total_mass, [replace(t, camera=c) for t, c in zip(trials, seen, strict=True)], 0
-        )
-        assert found.distribution is not None and found.covariance is not None
-        z = (found.distribution.mass - BLOCKS.truth.mass) / np.sqrt(np.diag(found.covariance))
-        inside.append(np.abs(z) < 1.96)
+        answer = ask(BLOCKS, [replace(t, camera=c) for t, c in zip(trials, seen, strict=True)])
+        inside.append(np.abs(found(answer).mass - BLOCKS.truth.mass) < 1.96 * claimed(answer))
     assert 0.88 < np.mean(inside) < 0.995

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 from estimators.baselines.optimizers import LeastSquares
 from estimators.hidden_states.estimator import HiddenStates
-from estimators.particles.observe import observe
 from estimators.particles.windows import PLANAR
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.priors import priors
@@ -18,7 +17,8 @@ from estimators.wrench.model import ModelErrors, ParticleModel
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
-from tests.fakes.flawed_bench import held_beside
+from tests.fakes.flawed_bench import held_beside, turns_beside
+from tests.helpers.answers import ask, claimed, trials_of, true_values, windows_of
 
 OBJECT, BESIDE = drawn_object(0), np.array([0.01, 0.015])
 ACTIONS = [
@@ -27,25 +27,18 @@ ACTIONS = [
 ]
 
 
-def observed(trials):
-    windows = observe(OBJECT.shape, trials)
-    assert windows is not None
-    return windows
-
-
 def test_windows_belong_to_their_caller():
     trials = turns(OBJECT, [0])
-    first = observed(trials)
+    first = windows_of(OBJECT, trials)
     before = first.wrench.clone()
     first.wrench.mul_(2.0)
-    assert_allclose(observed(trials).wrench, before, rtol=0)
+    assert_allclose(windows_of(OBJECT, trials).wrench, before, rtol=0)
 
 
 def change(trials, setup=EXACT_SETUP, **errors):
     """Change of the planar wrenches that errors of a setup are predicted to make."""
-    windows = replace(observed(trials), setup=setup)
+    windows, theta = replace(windows_of(OBJECT, trials), setup=setup), true_values(OBJECT)
     on_table = OnTable.of(OBJECT.shape, windows, "own_weight", ModelErrors())
-    theta = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
 
     def rows(theta):
         predict = torch.vmap(lambda window: on_table.predict(theta, window))
@@ -56,14 +49,14 @@ def change(trials, setup=EXACT_SETUP, **errors):
 
 
 def wrenches(trials):
-    return observed(trials).wrench.numpy().ravel()
+    return windows_of(OBJECT, trials).wrench.numpy().ravel()
 
 
 @pytest.mark.parametrize("millimeters", [0.0, 0.5, 1.0, 2.0, 5.0])
 def test_a_known_foot_near_the_pivot_drags_as_in_the_mean_over_the_errors_of_its_place(millimeters):
     foot = OBJECT.shape.particles[np.argmin(np.linalg.norm(OBJECT.shape.particles - [0.0, 0.02], axis=1))]
     beside = Rotate(0, duration=2.5, pivot=(float(foot[0]) + 1e-3 * millimeters, float(foot[1])))
-    model, exact = ParticleModel.of(OBJECT.shape), observed([analytic_trial(OBJECT, beside)])
+    model, exact = ParticleModel.of(OBJECT.shape), windows_of(OBJECT, [analytic_trial(OBJECT, beside)])
     stated = SetupErrors(grasp_offset=5e-4, particle_offset=5e-4)
     each = torch.ones(len(model.particles), dtype=torch.float64)
     sharp = exact.table(model, 1e-6).dragged(each)
@@ -100,23 +93,18 @@ def test_where_all_move_alike_the_pattern_of_contact_does_not_matter():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [HiddenStates(), LeastSquares()], ids=["hidden_states", "least_squares"])
 def test_errors_that_are_stated_widen_the_answers_own(method):
-    trials = turns(OBJECT) + accelerated(OBJECT)
-    stated = [replace(t, setup=SetupErrors(grasp_offset=0.001, group_friction=0.03)) for t in trials]
-    exact, wide = (method.estimate(OBJECT.shape, OBJECT.total_mass, given, 0) for given in (trials, stated))
+    setups = EXACT_SETUP, SetupErrors(grasp_offset=0.001, group_friction=0.03)
+    exact, wide = (ask(OBJECT, [replace(t, setup=setup) for t in trials_of(OBJECT)], method) for setup in setups)
     assert exact.status == wide.status == "ok"
-    assert wide.covariance is not None and exact.covariance is not None
-    assert (np.diag(wide.covariance) > 4 * np.diag(exact.covariance)).all()
+    assert (claimed(wide) > 2 * claimed(exact)).all()
 
 
 def test_a_grasp_offset_that_is_stated_explains_the_trials_and_one_that_is_not_does_not():
     shifts = 0.0015 * np.random.default_rng(0).standard_normal((6, 2))
-    grasps = [k % len(OBJECT.shape.grasps) for k in range(6)]
-    pivots = [tuple(OBJECT.shape.grasps[g].position + BESIDE) for g in grasps]
-    turned = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(grasps, pivots, strict=True)]
+    turned = turns_beside(OBJECT, BESIDE)
     trials = [held_beside(OBJECT, action, shift) for action, shift in zip(turned, shifts, strict=True)]
     trials += accelerated(OBJECT)
-    answer = HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, trials, 0)
+    answer = ask(OBJECT, trials)
     assert answer.status == "unexplained" and answer.diagnostics["misfit"] > 3
-    stated = [replace(t, setup=SetupErrors(grasp_offset=0.0015)) for t in trials]
-    answer = HiddenStates().estimate(OBJECT.shape, OBJECT.total_mass, stated, 0)
+    answer = ask(OBJECT, [replace(t, setup=SetupErrors(grasp_offset=0.0015)) for t in trials])
     assert answer.status == "ok" and answer.diagnostics["misfit"] < 2

@@ -9,10 +9,9 @@ from estimators.posterior.diagnosis import Cause, diagnose
 from estimators.posterior.posterior import CAUSES
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
 from estimators.testing.recorded import load_block
-from testbed.actions.rotate import Rotate
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import SetupErrors
-from tests.fakes.flawed_bench import held_beside, on_anisotropic_table
+from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, turns_beside
 
 BLOCK = load_block("I2-own_weight")
 SHAPE, WEIGHT = BLOCK.model.shape, BLOCK.weighed("ft300s")
@@ -27,19 +26,13 @@ def diagnosed(shape, weight, trials):
     return found
 
 
-def with_trial(place, **changes):
-    return [replace(trial, **changes) if index == place else trial for index, trial in enumerate(TRIALS)]
+def flipped(trial):
+    wrench = {"sensor_wrench": -trial.sensor_wrench, "wrench_on_object_world": -trial.wrench_on_object_world}
+    return replace(trial, **wrench)
 
 
-def flipped():
-    trial = TRIALS[3]
-    return with_trial(3, sensor_wrench=-trial.sensor_wrench, wrench_on_object_world=-trial.wrench_on_object_world)
-
-
-def regripped():
-    action = TRIALS[2].action
-    assert action.grasp is not None
-    return with_trial(2, action=replace(action, grasp=(action.grasp + 1) % len(SHAPE.grasps)))
+def regripped(trial):
+    return replace(trial, action=replace(trial.action, grasp=(trial.action.grasp + 1) % len(SHAPE.grasps)))
 
 
 @pytest.mark.parametrize(
@@ -54,9 +47,11 @@ def test_trials_that_agree_are_said_to(setup):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("trials", "number"), [(flipped, 4), (regripped, 3)])
-def test_a_wrong_trial_is_named(trials, number):
-    found = diagnosed(SHAPE, WEIGHT, trials())
+@pytest.mark.parametrize(("wrong", "number"), [(flipped, 4), (regripped, 3)])
+def test_a_wrong_trial_is_named(wrong, number):
+    trials = list(TRIALS)
+    trials[number - 1] = wrong(trials[number - 1])
+    found = diagnosed(SHAPE, WEIGHT, trials)
     assert f"trial {number} does not agree with the others" in found.verdict
     assert found.without < 1.5
 
@@ -76,14 +71,6 @@ def test_one_rigid_body_comes_before_any_error_of_the_setup():
     assert "as under one rigid body" in found.verdict and "ask support_aware" in found.verdict
 
 
-def pivoted(place):
-    """Turns of a drawn object about points beside its grasps, as `place` has it."""
-    grasps = [k % len(OBJECT.shape.grasps) for k in range(6)]
-    pivots = [tuple(np.add(OBJECT.shape.grasps[g].position, BESIDE)) for g in grasps]
-    actions = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(grasps, pivots, strict=True)]
-    return [place(k, action) for k, action in enumerate(actions)]
-
-
 @pytest.mark.parametrize(
     "stated",
     [
@@ -93,7 +80,8 @@ def pivoted(place):
 )
 def test_grasps_that_are_off_are_named_with_their_size(stated):
     shifts = 0.0015 * np.random.default_rng(2).standard_normal((6, 2))
-    trials = pivoted(lambda k, action: held_beside(OBJECT, action, shifts[k])) + accelerated(OBJECT)
+    turned = zip(turns_beside(OBJECT, BESIDE), shifts, strict=True)
+    trials = [held_beside(OBJECT, action, shift) for action, shift in turned] + accelerated(OBJECT)
     found = diagnosed(OBJECT.shape, OBJECT.total_mass, [replace(trial, setup=stated) for trial in trials])
     assert found.causes[0].name == "grasp_offset"
     assert found.causes[0].size == pytest.approx(np.sqrt(np.sum(shifts**2) / (2 * len(trials))), rel=0.15)
@@ -102,7 +90,8 @@ def test_grasps_that_are_off_are_named_with_their_size(stated):
 
 @pytest.mark.slow
 def test_friction_that_differs_by_direction_is_named_with_its_size():
-    trials = pivoted(lambda _, action: on_anisotropic_table(OBJECT, analytic_trial(OBJECT, action), 0.85, 0.4))
+    plain = [analytic_trial(OBJECT, action) for action in turns_beside(OBJECT, BESIDE)]
+    trials = [on_anisotropic_table(OBJECT, trial, 0.85, 0.4) for trial in plain]
     found = diagnosed(OBJECT.shape, OBJECT.total_mass, trials)
     assert found.causes[0].name == "anisotropy"
     assert found.verdict.endswith(CAUSES["anisotropy"].cause)

@@ -14,7 +14,6 @@ from torch import Tensor
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles import links
 from estimators.particles.lifts import lifts_among
-from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior import solver, table_errors
 from estimators.posterior.estimator import Bayes, posterior_of
@@ -39,6 +38,7 @@ from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
+from tests.helpers.answers import ask, claimed, found, trials_of, true_values, windows_of
 from tests.helpers.lab import lab_trials
 
 OBJECT = drawn_object(2)
@@ -62,9 +62,10 @@ def pushed():
 @cache
 def in_links():
     last = len(CHAIN.shape.grasps) - 1
-    pivots = [tuple((CHAIN.shape.grasps[g].position + 0.015).tolist()) for g in (0, last)]
     actions = [Slide(0, math.pi / 2, duration=1.5), Slide(last, -math.pi / 2, duration=1.5)]
-    actions += [Rotate(g, duration=1.5, pivot=p) for g, p in zip((0, last), pivots, strict=True)]
+    actions += [
+        Rotate(g, duration=1.5, pivot=tuple((CHAIN.shape.grasps[g].position + 0.015).tolist())) for g in (0, last)
+    ]
     return [analytic_links(CHAIN, action) for action in actions]
 
 
@@ -83,14 +84,20 @@ def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
     """Measurements of one kind, and their unknowns; without a gripper's load if not `loaded`."""
     model, trials = KINDS[kind]
     made = [replace(trial, setup=setup) for trial in trials()]
-    windows, weight = observe(model.shape, made, errors), model.total_mass
-    assert windows is not None
+    windows, weight = windows_of(model, made, errors), model.total_mass
     if not loaded:
         windows = replace(windows, load_size=0 * windows.load_size, load_change=0 * windows.load_change)
     on_table = OnTable.of(model.shape, windows, "own_weight", errors)
     measurements = [on_table, Scale(weight, Weighing.of(model.shape, errors.weight_error, setup))]
     measurements += [InAir.of(model.shape, k, lift, weight) for k, lift in lifts_among(model.shape, made).items()]
     return model, measurements, priors(model.shape, setup, errors, weight, on_table.trials)
+
+
+def joint(model, trials, support="own_weight"):
+    """Posterior of trials, some of them usable."""
+    made = posterior_of(model.shape, model.total_mass, trials, support)
+    assert made is not None
+    return made
 
 
 def at_truth(model, unknowns, z=None):
@@ -144,7 +151,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
 @pytest.mark.slow
 def test_an_answer_has_the_errors_of_the_setup_with_their_own():
     trials = [replace(trial, setup=LAB) for trial in KINDS["accelerated"][1]()]
-    numbers = Bayes().estimate(OBJECT.shape, OBJECT.total_mass, trials, 0).diagnostics
+    numbers = ask(OBJECT, trials, Bayes()).diagnostics
     for name in ("table_tilt_1", "gain_5", "grasp_offset_0_1", "delay", "friction_0"):
         assert numbers[f"{name}_std"] > 0
     assert abs(numbers["table_tilt_1"]) < 3 * LAB.table_tilt and numbers["table_tilt_1_std"] <= LAB.table_tilt
@@ -156,8 +163,8 @@ def test_an_answer_has_the_errors_of_the_setup_with_their_own():
 def test_an_error_that_a_lift_alone_states_is_an_unknown_on_the_table(error: dict[str, float]):
     *on_table, lift = KINDS["lifts"][1]()
     uneven = replace(lift, setup=replace(EXACT_SETUP, **error))
-    found = posterior_of(OBJECT.shape, OBJECT.total_mass, [*on_table, uneven])
-    assert found is not None and found.optimum.converged
+    found = joint(OBJECT, [*on_table, uneven])
+    assert found.optimum.converged
     assert float(found.optimum.z[found.unknowns.at[next(iter(error))]].abs().max()) > 0
 
 
@@ -192,9 +199,7 @@ def test_the_radial_pattern_adds_its_standard_deviation_to_the_mean_square_dista
 @pytest.mark.slow
 def test_a_radius_of_contact_that_blocks_share_is_recovered():
     obj = drawn(3, 4242, "corners")
-    found = posterior_of(obj.shape, obj.total_mass, lab_trials(obj, 8))
-    assert found is not None
-    model = ParticleModel.of(obj.shape)
+    found, model = joint(obj, lab_trials(obj, 8)), ParticleModel.of(obj.shape)
     points = model.points(spread=True)[model.mass_group == 0].flatten(0, 1)
     square = (points - points.mean(0)).square().sum(1)
     corners = 2 * (0.9 * 3 / 2 * obj.shape.cell) ** 2
@@ -239,55 +244,46 @@ def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
 @pytest.mark.slow
 def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
     """Their scatter is the covariance where masses are known; elsewhere they add up to M, and none is below 0."""
-    known = drawn_object(2)
-    found = posterior_of(known.shape, known.total_mass, [*turns(known, noise=0.3), *accelerated(known)])
-    assert found is not None
-    mass, friction = found.draws(known.shape, 4000, 0)
-    answer, count = found.estimate(known.shape), known.shape.particles_per_group
-    assert answer.covariance is not None
-    assert_allclose(mass.std(0), np.sqrt(np.diag(answer.covariance)) * count, rtol=0.08)
+    known, wide = drawn_object(2), drawn_object(0, friction_groups=2)
+    narrow = joint(known, [*turns(known, noise=0.3), *accelerated(known)])
+    mass, friction = narrow.draws(known.shape, 4000, 0)
+    answer = narrow.estimate(known.shape)
+    assert_allclose(mass.std(0), claimed(answer) * known.shape.particles_per_group, rtol=0.08)
     assert_allclose(friction.std(0), answer.diagnostics["friction_0_std"], rtol=0.08)
-    wide = drawn_object(0, friction_groups=2)
-    found = posterior_of(wide.shape, wide.total_mass, turns(wide, noise=0.3))
-    assert found is not None
-    mass, friction = found.draws(wide.shape, 500, 0)
+    broad = joint(wide, turns(wide, noise=0.3))
+    mass, friction = broad.draws(wide.shape, 500, 0)
     assert (mass > 0).all() and (friction > 0).all()
     assert (mass.std(0) > 0.02).all()
     assert_allclose(mass.sum(1), wide.total_mass, atol=0.006)
-    assert np.array_equal(found.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"
+    assert np.array_equal(broad.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"
 
 
-def padded(seed=2, aside=0.0):
-    """An object on four feet a block, and the same with each foot elsewhere, m."""
-    plain, pads = drawn_object(seed), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.018
-    middles = [plain.shape.particles[plain.shape.mass_group == g].mean(0) for g in range(plain.shape.n_m)]
+def padded(aside=0.0):
+    """An object on four feet a block, and the places of its feet, each moved by up to so much, m."""
+    plain, pads = drawn_object(2), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.018
     off = aside * np.random.default_rng(5).standard_normal((plain.shape.n_m, 4, 2))
-    return plain.on_feet([middle + pads for middle in middles]), off, middles, pads
+    feet = [plain.shape.middle_of(group) + pads + off[group] for group in range(plain.shape.n_m)]
+    return plain.on_feet(feet), off
 
 
 def test_masses_on_known_feet_are_recovered():
     model = padded()[0]
-    answer = Bayes().estimate(model.shape, model.total_mass, turns(model) + accelerated(model), 0)
-    assert answer.status == "ok" and answer.distribution is not None
-    assert_allclose(answer.distribution.mass * model.shape.particles_per_group, model.group_mass, rtol=0.01)
+    answer = ask(model, trials_of(model), Bayes())
+    assert answer.status == "ok"
+    assert_allclose(found(answer).mass * model.shape.particles_per_group, model.group_mass, rtol=0.01)
 
 
 def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
-    model, off, middles, pads = padded(aside=2e-4)
-    moved = drawn_object(2).on_feet([middle + pads + each for middle, each in zip(middles, off, strict=True)])
-    windows = observe(model.shape, turns(model))
-    assert windows is not None
+    (model, _), (moved, off) = padded(), padded(aside=2e-4)
+    windows = windows_of(model, turns(model))
     measured = OnTable.of(model.shape, windows, "own_weight", SHARP)
-    theta = {"mass": torch.tensor(model.truth.mass), "friction": torch.tensor(model.truth.friction)}
-    theta["carried"] = torch.zeros(3, dtype=torch.float64)
+    theta = true_values(model) | {"carried": torch.zeros(3, dtype=torch.float64)}
     aside = {"foot_offset": torch.tensor(off.reshape(-1, 2))}
     predicted = [
         torch.vmap(lambda window, more=more: measured.wrench(theta | more, window))(measured.table.windows)
         for more in ({}, aside)
     ]
-    seen = observe(moved.shape, turns(moved))
-    assert seen is not None
-    change = seen.wrench - windows.wrench
+    change = windows_of(moved, turns(moved)).wrench - windows.wrench
     assert change.abs().max() > 1e-4
     assert_allclose(predicted[1] - predicted[0], change, atol=0.03 * float(change.abs().max()))
 
@@ -296,13 +292,12 @@ def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
 @pytest.mark.parametrize("method", [Bayes(), HiddenStates()], ids=["bayes", "hidden_states"])
 def test_known_feet_leave_less_open_than_unknown_points(method):
     errors = replace(EXACT_SETUP, contact_points=4, foot_offset=0.0005, foot_load=0.2)
-    claimed = []
-    for model in (drawn_object(2), padded()[0]):
-        trials = [replace(trial, setup=errors) for trial in turns(model) + accelerated(model)]
-        answer = method.estimate(model.shape, model.total_mass, trials, 0)
-        assert answer.covariance is not None
-        claimed.append(np.sqrt(np.diag(answer.covariance)) * model.shape.particles_per_group)
-    assert (claimed[1] < claimed[0]).all() and claimed[1].sum() < 0.8 * claimed[0].sum()
+    unknown, known = (
+        claimed(ask(model, [replace(trial, setup=errors) for trial in trials_of(model)], method))
+        * model.shape.particles_per_group
+        for model in (drawn_object(2), padded()[0])
+    )
+    assert (known < unknown).all() and known.sum() < 0.8 * unknown.sum()
 
 
 @pytest.mark.slow
@@ -310,11 +305,8 @@ def test_feet_of_unlike_loads_are_a_pattern_of_their_group():
     model = padded()[0]
     unknowns = priors(model.shape, replace(EXACT_SETUP, contact_points=4, foot_load=0.2), SHARP, model.total_mass, 1)
     assert "contact_points" not in unknowns.blocks and unknowns.blocks["foot_load"].std.shape == (model.shape.n_m, 3)
-    windows = observe(model.shape, turns(model))
-    assert windows is not None
-    measured = OnTable.of(model.shape, windows, "own_weight", SHARP)
-    window = {name: value[0] for name, value in measured.table.windows.items()}
-    theta = {"mass": torch.tensor(model.truth.mass), "friction": torch.tensor(model.truth.friction)}
+    measured = OnTable.of(model.shape, windows_of(model, turns(model)), "own_weight", SHARP)
+    window, theta = {name: value[0] for name, value in measured.table.windows.items()}, true_values(model)
     z = torch.randn(4000, model.shape.n_m, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     std = unknowns.blocks["foot_load"].std
     loads = torch.stack([measured.loads(theta | {"foot_load": std * each}, window)[model.shape.feet, 0] for each in z])
@@ -447,6 +439,5 @@ def test_a_common_factor_of_stated_errors_changes_no_choice():
 @pytest.mark.parametrize("support", ["own_weight", "rigid"])
 def test_trials_that_contradict_each_other_leave_friction(support):
     obj = drawn_object(0, ["010", "111"])
-    found = posterior_of(obj.shape, obj.total_mass, [*turns(obj), *accelerated(obj), *opposed(obj)], support)
-    assert found is not None and float(found.of("friction")[0]) > 0.01
-    assert not found.explained.explains
+    found = joint(obj, [*trials_of(obj), *opposed(obj)], support)
+    assert float(found.of("friction")[0]) > 0.01 and not found.explained.explains

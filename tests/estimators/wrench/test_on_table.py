@@ -11,7 +11,6 @@ from estimators.hidden_states.algorithm import Solution, algorithm_1
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected, observed
-from estimators.particles.observe import observe
 from estimators.particles.windows import Observations
 from estimators.posterior.on_table import OnTable
 from estimators.registry import build_method
@@ -32,6 +31,7 @@ from testbed.worlds.setup_errors import SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes, steady_pushes
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, on_plastic
+from tests.helpers.answers import ask, trials_of, true_values, windows_of
 
 OBJECT, CHAIN = drawn_object(0), drawn_chain(1)
 BESIDE, BETWEEN = (0.01, 0.015), np.array([0.004, 0.003])
@@ -45,10 +45,12 @@ DRAG = Slide(0, np.pi / 2, duration=2.5)
 SHARP = replace(EXACT, weight_error=1e-9)
 
 
-def windows_of(obj: ObjectModel, trials: list[Trajectory]) -> Observations:
-    found = observe(obj.shape, trials)
-    assert found is not None
-    return found
+KINDS = {
+    "turns": lambda: turns(OBJECT),
+    "slides": lambda: [analytic_trial(OBJECT, Slide(0, 0.3))],
+    "accelerated": lambda: accelerated(OBJECT),
+    "pushes": lambda: steady_pushes(OBJECT, CENTERS),
+}
 
 
 def at_truth(obj: ObjectModel, windows: Observations) -> tuple[Table, dict[str, torch.Tensor]]:
@@ -69,10 +71,7 @@ def missing(obj: ObjectModel, trials: list[Trajectory]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("obj", "trials", "within"),
     [
-        pytest.param(OBJECT, lambda: turns(OBJECT), 1e-9, id="turns"),
-        pytest.param(OBJECT, lambda: [analytic_trial(OBJECT, Slide(0, 0.3))], 1e-9, id="slides"),
-        pytest.param(OBJECT, lambda: accelerated(OBJECT), 1e-9, id="accelerated"),
-        pytest.param(OBJECT, lambda: steady_pushes(OBJECT, CENTERS), 1e-7, id="pushes"),
+        *(pytest.param(OBJECT, trials, 1e-7 if kind == "pushes" else 1e-9, id=kind) for kind, trials in KINDS.items()),
         pytest.param(CHAIN, lambda: [analytic_links(CHAIN, DRAG)], 1e-3, id="links", marks=pytest.mark.slow),
     ],
 )
@@ -91,13 +90,9 @@ def test_friction_that_no_unknown_names_is_that_of_all_points():
 
 
 @pytest.mark.parametrize("departure", np.diag([0.1, 0.2, 0.15]), ids=["along", "across", "around"])
-@pytest.mark.parametrize(
-    "trials",
-    [lambda: turns(OBJECT), lambda: accelerated(OBJECT), lambda: steady_pushes(OBJECT, CENTERS)],
-    ids=["turns", "accelerated", "pushes"],
-)
-def test_friction_that_departs_from_coulombs_law_adds_its_own_wrench(trials, departure):
-    windows = windows_of(OBJECT, [on_plastic(OBJECT, each, departure) for each in trials()])
+@pytest.mark.parametrize("kind", ["turns", "accelerated", "pushes"])
+def test_friction_that_departs_from_coulombs_law_adds_its_own_wrench(kind, departure):
+    windows = windows_of(OBJECT, [on_plastic(OBJECT, each, departure) for each in KINDS[kind]()])
     table, truth = at_truth(OBJECT, windows)
     found = table.rows(truth | {"friction_law": torch.tensor(departure)})
     assert_allclose(found[:, :3], windows.wrench, atol=1e-7 * float(windows.wrench.abs().max()))
@@ -154,16 +149,15 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
 @pytest.mark.parametrize(
     "trials",
     [
-        pytest.param(lambda: turns(OBJECT), id="turns"),
-        pytest.param(lambda: [*turns(OBJECT, [0, 1]), analytic_trial(OBJECT, Slide(0, 0.3))], id="slides"),
-        pytest.param(lambda: [*turns(OBJECT), *accelerated(OBJECT)], id="accelerated"),
+        pytest.param(KINDS["turns"], id="turns"),
+        pytest.param(lambda: [*turns(OBJECT, [0, 1]), *KINDS["slides"]()], id="slides"),
+        pytest.param(lambda: trials_of(OBJECT), id="accelerated"),
         pytest.param(lambda: analytic_pushes(OBJECT, PUSHES), id="pushes", marks=pytest.mark.slow),
     ],
 )
 def test_masses_come_back_from_predicted_wrenches(trials):
     on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials()), "own_weight", SHARP)
-    truth = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
-    measured = on_table.predicting(truth).windows
+    measured = on_table.predicting(true_values(OBJECT)).windows
     found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, measured, SHARP)
     guess = found.first_guess()
     for _ in range(8):
@@ -177,8 +171,7 @@ def test_masses_come_back_through_an_error_in_which_the_wrench_is_not_linear():
     setup, off = SetupErrors(anisotropy=0.2), {"anisotropy": torch.tensor([0.2, -0.1], dtype=torch.float64)}
     trials = [replace(trial, setup=setup) for trial in turns(OBJECT, noise=0.02)]
     on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials), "own_weight", ModelErrors())
-    truth = {"mass": torch.tensor(OBJECT.truth.mass), "friction": torch.tensor(OBJECT.truth.friction)}
-    windows = on_table.predicting(truth | off).windows
+    windows = on_table.predicting(true_values(OBJECT) | off).windows
     found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, windows, ModelErrors())
     guess = found.first_guess()
     for _ in range(4):
@@ -198,7 +191,7 @@ TRIALS = [replace(trial, setup=SCALE) for trial in turns(SCALED, noise=0.05)]
     "method", ["hidden_states", "least_squares", pytest.param("support_aware", marks=pytest.mark.slow)]
 )
 def test_a_method_knows_the_object_no_better_than_the_scale(method: str):
-    found = build_method(method, {}).estimate(SCALED.shape, SCALED.total_mass, TRIALS, 0)
+    found = ask(SCALED, TRIALS, build_method(method, {}))
     assert found.covariance is not None
     count = SCALED.shape.particles_per_group
     assert np.sqrt(count @ found.covariance @ count) == pytest.approx(SCALE.scale, rel=0.1)
@@ -207,9 +200,6 @@ def test_a_method_knows_the_object_no_better_than_the_scale(method: str):
 @pytest.mark.parametrize("made", [True, False], ids=["observed", "expected"])
 def test_a_report_knows_the_object_no_better_than_the_scale(made: bool):
     actions, assumptions = [trial.action for trial in TRIALS], Assumptions(setup=SCALE)
-    report = (
-        observed(SCALED.shape, SCALED.truth, TRIALS, assumptions)
-        if made
-        else expected(SCALED.shape, SCALED.truth, actions, preset("ft300s"), assumptions)
-    )
+    of = SCALED.shape, SCALED.truth
+    report = observed(*of, TRIALS, assumptions) if made else expected(*of, actions, preset("ft300s"), assumptions)
     assert np.sqrt(report.covariance.sum()) == pytest.approx(SCALE.scale, rel=0.1)

@@ -12,7 +12,7 @@ from torch import Tensor
 from estimators.particles.links import carried_moment
 from estimators.testing.analytic_world import drawn_object, foundation
 from estimators.wrench.model import ParticleModel, rotate
-from estimators.wrench.support import LOADS, GripperLoad, Springs, nulled_load, own_weight_loads, rigid_loads
+from estimators.wrench.support import LOADS, GripperLoad, Springs, nulled_load
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.simulation.contacts import foot_stiffness, resting_loads
@@ -43,15 +43,19 @@ def loads_of(support: str, obj: ObjectModel, load: GripperLoad, mass: Tensor | N
     return LOADS[support](ParticleModel.of(obj.shape), mass, load)
 
 
+def check_balance(obj: ObjectModel, load: GripperLoad, loads: Tensor) -> None:
+    """Raises where loads do not carry what weight, lift and moment leave to the feet."""
+    assert_allclose(loads.sum(-1), obj.total_mass * GRAVITY - load.lift)
+    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * obj.particle_mass, load.lever)
+    assert_allclose(moment, load.moment, atol=1e-12)
+
+
 @pytest.mark.parametrize("support", LOADS)
 @pytest.mark.parametrize("seed", range(3))
 def test_loads_balance_weight_lift_and_moment(support, seed):
     obj = drawn_object(seed)
     load = carried(obj, seed)
-    loads = loads_of(support, obj, load)
-    assert_allclose(loads.sum(-1), obj.total_mass * GRAVITY - load.lift)
-    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * obj.particle_mass, load.lever)
-    assert_allclose(moment, load.moment, atol=1e-12)
+    check_balance(obj, load, loads_of(support, obj, load))
 
 
 @pytest.mark.parametrize("balanced", [False, True], ids=["one tilt", "balanced"])
@@ -63,10 +67,7 @@ def test_loads_balance_where_links_have_moved(support, balanced):
     moved = replace(
         still, lever=torch.where(beyond, rotate(turn[:, None], still.lever), still.lever), balanced=balanced
     )
-    loads = loads_of(support, OBJECT, moved)
-    assert_allclose(loads.sum(-1), OBJECT.total_mass * GRAVITY - moved.lift)
-    moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * OBJECT.particle_mass, moved.lever)
-    assert_allclose(moment, moved.moment, atol=1e-12)
+    check_balance(OBJECT, moved, loads_of(support, OBJECT, moved))
 
 
 def test_own_weight_lightens_the_held_groups_and_no_other():
@@ -90,9 +91,8 @@ def test_rigid_loads_are_an_affine_field_of_the_weight_and_its_center_alone():
 
 def test_a_rigid_body_on_a_line_of_feet_shares_its_weight_evenly():
     obj = load_object("I1", 1)
-    assert_allclose(
-        loads_of("rigid", obj, GripperLoad.none(ParticleModel.of(obj.shape)))[0], obj.total_mass * GRAVITY / 6
-    )
+    none = GripperLoad.none(ParticleModel.of(obj.shape))
+    assert_allclose(loads_of("rigid", obj, none)[0], obj.total_mass * GRAVITY / 6)
 
 
 def test_one_rigid_body_carries_what_has_no_feet_by_either_name():
@@ -151,9 +151,8 @@ OBJECTS = {
 
 def loads(obj: ObjectModel) -> tuple[Springs, torch.Tensor, torch.Tensor]:
     """Springs between the groups, and loads on own weight and under one rigid body."""
-    model, mass = ParticleModel.of(obj.shape), torch.tensor(obj.particle_mass)
-    none = GripperLoad.none(model)
-    own, rigid = own_weight_loads(model, mass, none)[0], rigid_loads(model, mass, none)[0]
+    model = ParticleModel.of(obj.shape)
+    own, rigid = (loads_of(support, obj, GripperLoad.none(model))[0] for support in ("own_weight", "rigid"))
     return Springs.of(model, obj.shape.neighbors), own, rigid
 
 

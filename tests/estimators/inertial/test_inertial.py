@@ -1,7 +1,9 @@
 """Bodies in the air: equations of lifts, inertial parameters, and the payload of an arm."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,7 @@ from estimators.inertial import (
     true_body,
 )
 from estimators.inertial.body import InertialParameters, shift_map
+from estimators.inertial.estimate import InertialEstimate
 from estimators.inertial.payload import Payload, as_franka, as_json, as_kortex, as_ur
 from scenarios.cli.main import main
 from testbed.actions.lift import Lift
@@ -139,22 +142,28 @@ def test_motions_of_one_body_add_up():
     assert_allclose(least_squares_inertia(both).parameters.vector, whole.vector, atol=1e-8)
 
 
+def numbers(of: InertialParameters) -> np.ndarray:
+    """Mass, center and moments of inertia."""
+    return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
+
+
+def holds(found: InertialEstimate, truth: InertialParameters) -> np.ndarray:
+    """True for each number that lies within its interval."""
+    low, high = found.interval(numbers)
+    return (low <= numbers(truth)) & (numbers(truth) <= high)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["ordinary", "semidefinite", "parts"])
 def test_nine_in_ten_intervals_hold(method):
     parts, _, whole = body()
+    solve = {"ordinary": least_squares_inertia, "semidefinite": consistent_inertia}.get(
+        method, partial(homogeneous_parts, parts=parts)
+    )
     exact, hold = motion(whole), []
     for seed in range(12 if method == "semidefinite" else 40):
-        equations = inertial_equations(noisy(exact, seed), FT300S, still_only=method == "parts")
-        if method == "ordinary":
-            found = least_squares_inertia(equations)
-        elif method == "semidefinite":
-            found = consistent_inertia(equations)
-        else:
-            found = homogeneous_parts(equations, parts)
-        truth = np.concatenate([[whole.mass], whole.center_of_mass, np.diag(whole.inertia)])
-        low, high = found.interval(lambda p: np.concatenate([[p.mass], p.center_of_mass, np.diag(p.inertia)]))
-        hold.append((low <= truth) & (truth <= high))
+        found = solve(inertial_equations(noisy(exact, seed), FT300S, still_only=method == "parts"))
+        hold.append(holds(found, whole))
         assert found.misfit < (12 if method == "parts" else 1.5)  # that of the parts has one degree of freedom
     assert 0.82 < np.mean(hold) < 0.98
 
@@ -164,24 +173,15 @@ def test_a_thin_body_in_noise_stays_physical():
     places = np.column_stack([np.linspace(0.0, 0.3, 30), np.zeros(30), np.zeros(30)])
     rod = InertialParameters.of_points(places, np.full(30, 0.01))
     within = Ellipsoid.around(np.array([0.0, -0.005, -0.005]), np.array([0.3, 0.005, 0.005]))
-    off = {"least_squares": [], "consistent": []}
+    off = []
     for seed in range(3):
         equations = inertial_equations(noisy(motion(rod), seed), FT300S)
         plain, physical = least_squares_inertia(equations), consistent_inertia(equations, within)
         assert np.linalg.eigvalsh(pseudo_inertia(physical.parameters.vector))[0] > -1e-9
-        off["least_squares"].append(np.abs(plain.parameters.vector - rod.vector)[4:].max())
-        off["consistent"].append(np.abs(physical.parameters.vector - rod.vector)[4:].max())
+        off.append([np.abs(found.parameters.vector - rod.vector)[4:].max() for found in (physical, plain)])
         assert plain.parameters.consistent or "positive density" in plain.message
-    assert np.mean(off["consistent"]) < np.mean(off["least_squares"])
-
-
-def test_parts_that_still_poses_cannot_tell_apart_are_refused():
-    parts, _, whole = body(count=3)
-    still = inertial_equations(motion(whole, still=True), IDEAL)
-    with pytest.raises(InvalidValueError, match="at most 4"):
-        homogeneous_parts(still, [*parts, *body(seed=5)[0]])
-    with pytest.raises(InvalidValueError, match="parts"):
-        homogeneous_parts(still, [])
+    consistent, least_squares = np.mean(off, axis=0)
+    assert consistent < least_squares
 
 
 OBJECT = blocks(["10", "11"], [0.5, 0.1, 0.3])
@@ -221,25 +221,15 @@ def test_a_solid_turns_as_its_box():
     assert_allclose(found.inertia, 0.7 / 12 * np.diag(sides.sum() - sides), atol=1e-12)
 
 
-def test_a_trial_without_lifts_is_refused():
-    with pytest.raises(InvalidValueError, match="no lift"):
-        lift_equations(OBJECT.shape, [])
-
-
 @pytest.mark.slow
 def test_nine_in_ten_intervals_hold_from_lifts():
     """Bias, noise and an offset in the grip, drawn as told."""
     rng, truth, hold, inside = np.random.default_rng(0), true_body(OBJECT), [], []
-
-    def numbers(of: InertialParameters) -> np.ndarray:
-        return np.concatenate([[of.mass], of.center_of_mass, np.diag(of.inertia)])
-
     for seed in range(20):
         offset = rng.standard_normal(3) * [5e-4, 5e-4, 1e-3]
         trial = lifted(OBJECT, SHORT, offset=(offset[0], offset[1], offset[2]), errors=1.0, seed=seed)
         equations = lift_equations(OBJECT.shape, [trial])
-        low, high = least_squares_inertia(equations).interval(numbers)
-        hold.append((low <= numbers(truth)) & (numbers(truth) <= high))
+        hold.append(holds(least_squares_inertia(equations), truth))
         least, most = part_ranges(equations, *places_of(OBJECT.shape)).T
         inside.append((least <= OBJECT.group_mass) & (OBJECT.group_mass <= most))
     assert 0.82 < np.mean(hold) < 0.98
@@ -314,13 +304,13 @@ def test_forms_of_controllers():
     inertia = np.array([[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]) * 1e-3
     body = InertialParameters(1.5, np.array([0.01, 0.02, 0.03]), inertia)
     payload = Payload(body, (body,))
-    assert as_ur(payload) == (
-        "set_target_payload(1.5, [0.01, 0.02, 0.03], [0.004, 0.005, 0.006, 0.0001, 0.0002, 0.0003])\n"
-    )
+    matrix, center = "[0.004, 0.005, 0.006, 0.0001, 0.0002, 0.0003]", "[0.01, 0.02, 0.03]"
+    assert as_ur(payload) == f"set_target_payload(1.5, {center}, {matrix})\n"
+    columns = pytest.approx(inertia.flatten(order="F"))
     assert json.loads(as_franka(payload)) == {
         "mass": 1.5,
-        "center_of_mass": [0.01, 0.02, 0.03],
-        "load_inertia": pytest.approx(inertia.flatten(order="F")),
+        "center_of_mass": json.loads(center),
+        "load_inertia": columns,
     }
     assert json.loads(as_kortex(payload)) == {"tool_mass": 1.5, "tool_mass_center": {"x": 0.01, "y": 0.02, "z": 0.03}}
     assert json.loads(as_json(payload))["inertia_90_kg_m2"] == [inertia.tolist()] * 2
@@ -338,9 +328,24 @@ def test_a_calibration_shows_no_inertia(tmp_path: Path, capsys):
     assert "set_target_payload(1.2, [0, 0.01, 0.0727])\n" in capsys.readouterr().out
 
 
-def test_what_has_no_payload_is_refused(tmp_path: Path):
-    with pytest.raises(InvalidValueError, match="one or more lifts that ended well"):
-        Payload.of_lifts(L2.shape, [])
+def test_a_folder_without_lifts_has_no_payload(tmp_path: Path):
     (tmp_path / "trials").mkdir()
     with pytest.raises(SystemExit):
         main(["payload", str(tmp_path)])
+
+
+STILL = inertial_equations(motion(body()[2], still=True), IDEAL)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: homogeneous_parts(STILL, [*body()[0], *body(seed=5)[0]]), "at most 4"),
+        (lambda: homogeneous_parts(STILL, []), "parts"),
+        (lambda: lift_equations(OBJECT.shape, []), "no lift"),
+        (lambda: Payload.of_lifts(L2.shape, []), "one or more lifts that ended well"),
+    ],
+)
+def test_parts_that_cannot_be_told_apart_and_no_lifts_are_refused(call: Callable[[], object], said: str):
+    with pytest.raises(InvalidValueError, match=said):
+        call()

@@ -26,11 +26,17 @@ from viz.values import PlanView
 WRENCH = load_object("wrench")
 """Its particles are filled unevenly."""
 COUNT = WRENCH.shape.particles_per_group
+L2 = load_object("L2")
 
 
 def answer(covariance: np.ndarray | None, mass: np.ndarray = WRENCH.truth.mass) -> Answer:
     found = MassDistribution(mass, np.array([0.4]))
     return Answer("wrench", "own_weight", "m", "ok", "", WRENCH.shape, found, covariance, 1.2, "own weight", "")
+
+
+def right(covariance: np.ndarray | None) -> Answer:
+    """The true masses of L2."""
+    return Answer("L2", "own_weight", "hidden_states", "ok", "", L2.shape, L2.truth, covariance, 1.0, "own weight", "")
 
 
 def test_center_and_sum_have_the_errors_that_the_masses_give_them():
@@ -60,16 +66,13 @@ def test_what_is_not_known_is_said():
 
 
 def test_the_map_shows_every_mass_in_its_place():
-    block = load_object("L2")
-    masses, count = block.truth.mass, block.shape.particles_per_group
-    covariance = np.diag([np.inf, *np.full(len(count) - 1, 1e-9)])
-    made = Answer("L2", "own_weight", "m", "ok", "", block.shape, block.truth, covariance, 1.0, "own weight", "")
+    made = right(np.diag([np.inf, *np.full(L2.shape.n_m - 1, 1e-9)]))
     lines = mass_map(made).plain.splitlines()[1:]
     assert len(lines) == 12
     assert max(map(len, lines)) == 18
-    for group in range(1, block.shape.n_m):
-        assert sum(f"{masses[group] * count[group]:.3f}" in line for line in lines) >= 1
-        assert sum(block.shape.group_names[group] in line for line in lines) == 1
+    for name, mass in list(zip(L2.shape.group_names, L2.group_mass, strict=True))[1:]:
+        assert sum(f"{mass:.3f}" in line for line in lines) >= 1
+        assert sum(name in line for line in lines) == 1
     middle = lines[-2].split("0.100")  # A1, not observed, left of B1 and C1
     assert "?" in middle[0] and len(middle) == 3
     fine = replace(made, shape=load_object("L2", grid=30).shape, covariance=None)
@@ -96,11 +99,8 @@ def test_the_support_is_named(status, bayes: float, verdict: str, evidence: str)
     assert support_verdict(Estimate(None, "no_data")) == ("not tested", "")
 
 
-L2 = load_object("L2")
-
-
 def test_methods_with_intervals_are_drawn_and_where_none_has_one_it_is_hatched():
-    sure = Answer("L2", "own_weight", "hidden_states", "ok", "", L2.shape, L2.truth, 1e-8 * np.eye(6), 1.0, "-", "")
+    sure = right(1e-8 * np.eye(6))
     bare = replace(sure, method="random_search", covariance=None)
     nothing = replace(sure, method="diff_lcp", distribution=None)
     for answers, method, hatched in (

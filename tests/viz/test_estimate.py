@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,13 @@ from testbed.frames import transform_point
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
-from tests.helpers.chunks import Entity, read_chunks, verify
+from tests.helpers.chunks import Entity, logged
 from tests.helpers.records import turn_record
 from viz.recordings.bars import filled
 from viz.recordings.comparison import comparison_blueprint, log_comparison
 from viz.recordings.estimate import HORIZONS, estimate_blueprint, log_estimate
 from viz.recordings.mass_map import Raster
+from viz.recordings.page import ITERATION, Page
 from viz.style import BACKGROUND, DIFFERENCE_COLORS, MASS_COLORS, difference_scale, mapped, mass_scale, rgb
 from viz.values import MOST_FRAMES, EstimateView, evenly
 
@@ -72,23 +74,15 @@ def block_estimate(**changes: Any) -> EstimateView:
 
 
 def recorded(path: Path, log: Callable[..., None], blueprint: Callable[..., Any], values: Any) -> dict[str, Entity]:
-    """Entities of a recording of `values` below "e", written with its blueprint and read back."""
-    stream = rr.RecordingStream("heft_test")
-    stream.save(path, default_blueprint=rrb.Blueprint(blueprint("e", values)))
-    log(stream, "e", values)
-    stream.flush()
-    stream.disconnect()
-    return read_chunks(path)
+    """Entities of a recording of `values` below "e"."""
+    return logged(Page("e", "e", lambda stream: log(stream, "e", values), blueprint("e", values), ITERATION), path)
 
 
 @pytest.fixture(scope="module")
 def blocks(tmp_path_factory: pytest.TempPathFactory) -> tuple[EstimateView, dict[str, Entity]]:
     """An estimate and its recording."""
-    path = tmp_path_factory.mktemp("view") / "estimate.rrd"
     view = block_estimate()
-    entities = recorded(path, log_estimate, estimate_blueprint, view)
-    verify(path)
-    return view, entities
+    return view, recorded(tmp_path_factory.mktemp("view") / "e.rrd", log_estimate, estimate_blueprint, view)
 
 
 def pixels(entity: Entity, buffer: list) -> np.ndarray:
@@ -126,7 +120,6 @@ ENTITIES = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
 def test_every_entity_is_static_or_on_both_timelines(blocks):
     _, entities = blocks
     assert set(entities) >= ENTITIES
@@ -352,17 +345,27 @@ def test_facts_are_text_whatever_they_hold(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "field"),
+    ("call", "field"),
     [
-        ({"truth": MassDistribution(np.ones(5), np.ones(1))}, r"truth\.mass"),
-        ({"answer": MassDistribution(np.ones(6), np.ones(2))}, r"answer\.friction"),
-        ({"covariance": np.eye(5)}, "covariance"),
-        ({"traces": (trace("adam", np.ones(5), np.ones(5)),)}, r"traces\.adam"),
+        *(
+            (partial(block_estimate, **{field.partition(".")[0]: value}), f"EstimateView.{field}")
+            for field, value in (
+                ("truth.mass", MassDistribution(np.ones(5), np.ones(1))),
+                ("answer.friction", MassDistribution(np.ones(6), np.ones(2))),
+                ("covariance", np.eye(5)),
+                ("traces.adam", (trace("adam", np.ones(5), np.ones(5)),)),
+            )
+        ),
+        (lambda: comparison_blueprint("e", []), "views.*at least one"),
+        (
+            lambda: comparison_blueprint("e", [block_estimate(), EstimateView("h", load_object("hammer").shape)]),
+            "views.*another shape",
+        ),
     ],
 )
-def test_values_that_do_not_fit_are_refused(changes, field):
-    with pytest.raises(InvalidValueError, match=f"^EstimateView.{field}"):
-        block_estimate(**changes)
+def test_values_and_shapes_that_do_not_fit_are_refused(call, field):
+    with pytest.raises(InvalidValueError, match=f"^{field}"):
+        call()
 
 
 @given(st.integers(1, 3000), st.integers(2, 200))
@@ -380,12 +383,9 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[EstimateV
     silent = block_estimate(answer=None, traces=(), facts={"method": "silent"})
     methods = [block_estimate(), right, silent]
     path = tmp_path_factory.mktemp("view") / "comparison.rrd"
-    entities = recorded(path, log_comparison, comparison_blueprint, methods)
-    verify(path)
-    return methods, entities
+    return methods, recorded(path, log_comparison, comparison_blueprint, methods)
 
 
-@pytest.mark.slow
 def test_a_comparison_has_every_method_on_the_same_scales(comparison):
     methods, entities = comparison
     counts = methods[0].shape.particles_per_group
@@ -416,12 +416,3 @@ def test_a_comparison_names_methods_and_their_nad_and_starts_with_the_truth(comp
     assert all(any(path.startswith(str(view.origin)) for path in entities) for view in found)
     twelve = [block_estimate(facts={"method": f"m{i}"}) for i in range(12)]
     assert len(views(comparison_blueprint("e", twelve))) == 12 + 3
-
-
-@pytest.mark.parametrize(
-    ("others", "reason"),
-    [([], "at least one"), ([block_estimate(), EstimateView("hammer", load_object("hammer").shape)], "another shape")],
-)
-def test_estimates_of_different_shapes_are_not_compared(others, reason):
-    with pytest.raises(InvalidValueError, match=rf"^views.*{reason}"):
-        comparison_blueprint("e", others)

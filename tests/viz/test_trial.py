@@ -22,7 +22,7 @@ from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import preset
 from testbed.trajectory import Phase, load_trajectory, save_trajectory
-from tests.helpers.chunks import Entity, read_chunks, verify
+from tests.helpers.chunks import Entity, logged
 from tests.helpers.recorded import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
 from viz.recordings.trial import FOOT_ARROW, WRENCH
@@ -38,10 +38,7 @@ def view(turn_folder, turn_key) -> TrialView:
 
 @pytest.fixture(scope="module")
 def entities(turn_folder, turn_key, tmp_path_factory) -> dict[str, Entity]:
-    path = tmp_path_factory.mktemp("recording") / "trial.rrd"
-    save(page_of(turn_folder, turn_key[:6]), path)
-    verify(path)
-    return read_chunks(path)
+    return logged(page_of(turn_folder, turn_key[:6]), tmp_path_factory.mktemp("recording") / "trial.rrd")
 
 
 @pytest.fixture
@@ -55,7 +52,6 @@ def values(entities: dict[str, Entity], path: str, component: str = "Scalars:sca
     return np.squeeze(np.array(entities[path].values[SIM_TIME][component]))
 
 
-@pytest.mark.slow
 def test_cells_have_the_colors_and_masses_of_their_groups(entities, view):
     cells, shape = entities["trial/scene/object/cells"], view.shape
     colors, labels = cells.static["Boxes3D:colors"], cells.static["Boxes3D:labels"]
@@ -136,8 +132,7 @@ def test_a_push_is_drawn_with_its_fingertip(tmp_path):
     key = put_trial(tmp_path, "L2", push)
     write_json(tmp_path / "manifest.json", {"scenario": {"sensing": ["ideal"]}})
     pushed = trial_view(tmp_path, key)
-    save(page_of(tmp_path, key), tmp_path / "push.rrd")
-    entities = read_chunks(tmp_path / "push.rrd")
+    entities = logged(page_of(tmp_path, key), tmp_path / "push.rrd")
     (path,) = (name for name in entities if name.endswith("scene/fingertip"))
     place = values(entities, path, "Points3D:positions")
     trajectory = pushed.trajectory
@@ -154,27 +149,21 @@ def test_states_mark_the_phases_and_the_steady_window(entities, view):
 
 def test_pages_that_do_not_exist_are_refused_with_those_that_do(turn_folder, turn_key):
     weighing = next(p.parent.name for p in turn_folder.glob("trials/*/trial.json") if p.parent.name != turn_key)
-    for folder, what, reason in (
-        (turn_folder, "zzz", "beginning of one key"),
-        (turn_folder, "", "2 begin so"),
-        (turn_folder / "none", None, "results folder"),
-        (turn_folder, weighing, "a weighing"),
-    ):
+    for what, reason in (("zzz", "beginning of one key"), ("", "2 begin so"), (weighing, "a weighing")):
         with pytest.raises(InvalidValueError, match=reason):
-            page_of(folder, what)
+            page_of(turn_folder, what)
+    with pytest.raises(InvalidValueError, match="results folder"):
+        page_of(turn_folder / "none", None)
 
 
-@pytest.mark.slow
 def test_a_trial_without_feet_has_no_arrows_there_and_a_damaged_one_is_refused(copy, turn_key):
     (copy / "trials" / turn_key / "foot_forces.parquet").unlink()
-    save(trial_page(copy, turn_key), copy / "x.rrd")
-    assert not [path for path in read_chunks(copy / "x.rrd") if "/feet" in path]
+    assert not [path for path in logged(trial_page(copy, turn_key), copy / "x.rrd") if "/feet" in path]
     (copy / "trials" / turn_key / "trajectory.parquet").write_bytes(b"PAR1")
     with pytest.raises(HeftError, match=r"trajectory\.parquet"):
         trial_page(copy, turn_key)
 
 
-@pytest.mark.slow
 def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
     """The wrench as measured: no draw of errors, no truth, and no forces on the feet."""
     folder = copy / "trials" / turn_key
@@ -184,8 +173,7 @@ def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
     view = trial_view(copy, turn_key)
     assert (view.truth, view.feet, view.model) == (None, None, "")
     assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
-    save(page_of(copy, turn_key), copy / "x.rrd")
-    assert "trial/wrench/force/x/measured" in read_chunks(copy / "x.rrd")
+    assert "trial/wrench/force/x/measured" in logged(page_of(copy, turn_key), copy / "x.rrd")
 
 
 def test_a_recording_is_there_when_it_is_whole(tmp_path):

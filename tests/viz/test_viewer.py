@@ -83,9 +83,9 @@ def check_views(pixels: np.ndarray, state) -> None:
 @needs_browser
 def test_a_browser_draws_it_and_talks_to_nobody_else(trial, tmp_path):
     with served(trial) as address, browser(address, tmp_path) as look:
-        until = time.monotonic() + 120
+        end = time.monotonic() + 120
         while not has_color(pixels := look(), rgb(AXIS_COLORS[0])):
-            assert time.monotonic() < until, "the force along x is not drawn"
+            assert time.monotonic() < end, "the force along x is not drawn"
             time.sleep(1)
     log = (tmp_path / "net.json").read_text(encoding="utf-8", errors="replace")
     assert not is_blank(pixels)
@@ -103,11 +103,11 @@ def test_an_open_viewer_receives_trials_and_estimates(finished_run, tmp_path):
         recorder = Recorder(finished_run, url=viewers.waiting(port))
         recorder("trial", turn)
         recorder("estimate", key_of(finished_run, "hidden_states"))
-        found, until = "", time.monotonic() + 10
-        while not (f"trial {turn}" in found and "estimate" in found):
-            assert time.monotonic() < until, found
-            time.sleep(0.1)
-            found = " ".join(recording.store_id for recording in client.get_state().recordings)
+
+        def stores() -> str:
+            return " ".join(recording.store_id for recording in client.get_state().recordings)
+
+        assert until(lambda: f"trial {turn}" in stores() and "estimate" in stores(), 10), stores()
 
 
 @pytest.fixture

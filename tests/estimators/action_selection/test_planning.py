@@ -1,10 +1,9 @@
 """Planning: candidates as a box, information that adds, the best designs, plans that end for a reason, training."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, cast
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,15 +37,16 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory
 from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
 
 FT300S = preset("ft300s")
+L2, F2 = load_object("L2"), load_object("F2").shape
+LONG = ((0.0,) * 3, (0.0,) * 3, (5.0, 0.0, 0.0))
+"""Weights that prefer long actions."""
 
 
 def guess(name: str, **changes: object) -> Guess:
@@ -75,7 +75,7 @@ TRIALS = (
 @pytest.mark.parametrize("support", ["own_weight", "rigid"])
 def test_information_of_trials_adds_up_to_that_of_all_together(support, world_name):
     """Oracle: errors that are drawn anew in each trial as unknowns of all trials together."""
-    model, assumptions = load_object("L2"), Assumptions(support, setup=world(world_name).stated)
+    model, assumptions = L2, Assumptions(support, setup=world(world_name).stated)
     shape, errors = model.shape, assumptions.model_errors
     windows = predicted_windows(shape, TRIALS, FT300S, assumptions.setup, errors)
     assert windows is not None
@@ -96,12 +96,13 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
 
 
 def test_a_lift_adds_its_information_to_a_rigid_body_alone():
-    model, lift = load_object("L2"), Lift(2, hold=1.5, swings=2)
-    masses = {}
-    for support in ("rigid", "own_weight"):
-        found = predicted_information(model.shape, model.truth, [lift], FT300S, Assumptions(support))
-        masses[support] = found.information()[: model.shape.n_m, : model.shape.n_m]
-    assert masses["rigid"].all() and not masses["own_weight"].any()
+    model, lift = L2, Lift(2, hold=1.5, swings=2)
+    rigid, own = (
+        predicted_information(model.shape, model.truth, [lift], FT300S, Assumptions(support)).information()
+        for support in ("rigid", "own_weight")
+    )
+    of_masses = slice(model.shape.n_m), slice(model.shape.n_m)
+    assert rigid[of_masses].all() and not own[of_masses].any()
 
 
 def test_the_errors_of_a_plan_are_those_of_the_report():
@@ -161,10 +162,10 @@ def test_a_plan_is_as_short_as_it_can_be(name, turns):
 
 
 def test_errors_fall_with_every_step_and_time_adds_up():
-    plan = PlannedPolicy(guess("L2"), goal=Goal(budget_s=70.0), candidates=600).plan(load_object("L2").shape)
+    plan = PlannedPolicy(guess("L2"), goal=Goal(budget_s=70.0), candidates=600).plan(L2.shape)
     nad = [plan.before.expected_nad, *(step.belief.expected_nad for step in plan.steps)]
     assert len(plan.steps) >= 3 and (np.diff(nad) < 0).all()
-    assert plan.seconds == pytest.approx(RobotTime().total(load_object("L2").shape, plan.actions))
+    assert plan.seconds == pytest.approx(RobotTime().total(L2.shape, plan.actions))
     assert plan.seconds <= 70.0 and "budget is spent" in plan.why
 
 
@@ -179,10 +180,7 @@ def test_a_target_that_is_met_before_any_trial_needs_no_plan(plan):
 def test_exchange_makes_a_plan_no_longer_and_no_worse():
     whole, before = design("I2", 600)
     for goal in (Goal(until=0.02), Goal(budget_s=80.0)):
-        first, better = (
-            greedy_plan(whole, before, goal, FeasibilityLog()),
-            batch_plan(whole, before, goal, FeasibilityLog()),
-        )
+        first, better = (plan(whole, before, goal, FeasibilityLog()) for plan in (greedy_plan, batch_plan))
         if goal.until is not None:
             assert better.seconds <= first.seconds + 1e-9 and better.after.expected_nad <= goal.until
         else:
@@ -190,12 +188,10 @@ def test_exchange_makes_a_plan_no_longer_and_no_worse():
 
 
 @pytest.mark.slow
-def test_where_support_is_not_known_a_plan_accelerates():
-    shape = load_object("L2").shape
-    both = PlannedPolicy(guess("L2", supports=("own_weight", "rigid")), goal=Goal(most=6), candidates=800).plan(shape)
-    assert any(isinstance(action, Accelerate) for action in both.actions)
-    own = PlannedPolicy(guess("L2"), goal=Goal(most=6), candidates=800).plan(shape)
-    assert not any(isinstance(action, Accelerate) for action in own.actions)
+@pytest.mark.parametrize("supports", [("own_weight", "rigid"), ("own_weight",)], ids=["either", "own weight"])
+def test_where_support_is_not_known_a_plan_accelerates(supports):
+    plan = PlannedPolicy(guess("L2", supports=supports), goal=Goal(most=6), candidates=800).plan(L2.shape)
+    assert any(isinstance(action, Accelerate) for action in plan.actions) == (len(supports) > 1)
 
 
 @pytest.mark.slow
@@ -218,56 +214,52 @@ def test_a_lift_is_planned_where_it_teaches_more_a_second():
 @pytest.mark.slow
 def test_what_the_bench_refuses_is_not_planned_and_said():
     free = PlannedPolicy(guess("L2"), goal=Goal(most=3), candidates=500)
-    wanted = free.plan(load_object("L2").shape).actions[0].grasp
+    wanted = free.plan(L2.shape).actions[0].grasp
     asked = []
 
     def not_there(action):
         asked.append(action)
         return "out of reach" if action.grasp == wanted else ""
 
-    plan = replace(free, feasible=not_there).plan(load_object("L2").shape)
+    plan = replace(free, feasible=not_there).plan(L2.shape)
     assert len(plan.steps) == 3 and all(action.grasp != wanted for action in plan.actions)
     assert {why for _, why in plan.rejected} == {"out of reach"}
     assert len(asked) == len(set(asked)) < 500
 
 
 @pytest.mark.slow
-def test_plain_answers_where_little_can_be_had():
-    shape = load_object("L2").shape
-    nothing = ObjectShape(shape.particles, shape.mass_group, shape.friction_group, shape.cell, shape.height)
-    plan = PlannedPolicy(guess("L2"), candidates=8, goal=Goal(most=2)).plan(nothing)
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ({"candidates": 8, "grasps": ()}, "nothing to grip"),
+        ({"candidates": 200, "goal": Goal(budget_s=5.0)}, "the budget is spent: 5 s are left"),
+        ({"candidates": 100, "feasible": lambda _: "no"}, "the bench can do none"),
+    ],
+    ids=["no grasp", "no time", "no bench"],
+)
+def test_without_grasps_time_or_a_bench_a_plan_is_empty_and_says_why(settings, why):
+    plan = PlannedPolicy(guess("L2"), **settings).plan(L2.shape)
+    assert not plan.steps and why in plan.why
+
+
+@pytest.mark.slow
+def test_what_has_no_grasps_is_pushed_and_a_plan_ends_where_nothing_teaches_more():
+    plan = PlannedPolicy(guess("L2"), candidates=8, goal=Goal(most=2)).plan(replace(L2.shape, grasps=()))
     assert len(plan.steps) == 2 and all(isinstance(action, Push) for action in plan.actions)
-    plan = PlannedPolicy(guess("L2"), candidates=8, grasps=()).plan(shape)
-    assert not plan.steps and "nothing to grip" in plan.why
-    short = PlannedPolicy(guess("L2"), goal=Goal(budget_s=5.0), candidates=200).plan(shape)
-    assert not short.steps and "the budget is spent: 5 s are left" in short.why
-    rigid = PlannedPolicy(guess("L2", supports=("rigid",)), goal=Goal(until=0.01, most=30), candidates=100).plan(shape)
+    goal = Goal(until=0.01, most=30)
+    rigid = PlannedPolicy(guess("L2", supports=("rigid",)), goal=goal, candidates=100).plan(L2.shape)
     assert rigid.why == "no action teaches more" and rigid.after.expected_nad > 0.1
-    never = PlannedPolicy(guess("L2"), candidates=100, feasible=lambda _: "no").plan(shape)
-    assert not never.steps and "the bench can do none" in never.why
-    wrongs: list[dict[str, Any]] = [{"until": -0.1}, {"budget_s": 0.0}, {"most": 0}]
-    for wrong in wrongs:
-        with pytest.raises(InvalidValueError):
-            Goal(**wrong)
 
 
 @pytest.mark.parametrize("kind", ["random", "greedy", "batch"])
 def test_a_policy_goes_through_its_plan_and_around_what_failed(kind):
-    model = load_object("F2")
-    policy = PlannedPolicy(guess("F2"), kind, goal=Goal(most=3), candidates=300)
-    plan = policy.plan(model.shape)
-
-    class Done:
-        def __init__(self, action, ok=True):
-            self.action, self.ok = action, ok
-
-    done = []
-    while (action := policy.next(model.shape, cast(Sequence[Trajectory], done))) is not None:
-        done.append(Done(action))
+    policy, done = PlannedPolicy(guess("F2"), kind, goal=Goal(most=3), candidates=300), []
+    plan = policy.plan(F2)
+    while (action := policy.next(F2, done)) is not None:
+        done.append(SimpleNamespace(action=action, ok=True))
     assert tuple(d.action for d in done) == plan.actions
-    first = plan.actions[0]
-    after = policy.next(model.shape, cast(Sequence[Trajectory], [Done(first, ok=False)]))
-    assert after is not None and after != first
+    done = [SimpleNamespace(action=plan.actions[0], ok=False)]
+    assert policy.next(F2, done) not in (None, plan.actions[0])
 
 
 def test_candidates_stay_in_reach_and_clear_of_particles():
@@ -288,7 +280,7 @@ def test_candidates_stay_in_reach_and_clear_of_particles():
 
 @pytest.mark.slow
 def test_pushes_are_drawn_where_asked_for_or_where_nothing_else_is_left():
-    shape, beside = load_object("L2").shape, ActionFamily(pushes=True)
+    shape, beside = L2.shape, ActionFamily(pushes=True)
     ungripped = replace(shape, grasps=())
     assert not any(isinstance(action, Push) for action in ActionFamily().sample(shape, [0, 1], 200, 0))
     kinds = [isinstance(action, Push) for action in beside.sample(shape, [0, 1], 200, 0)]
@@ -302,7 +294,7 @@ def test_pushes_are_drawn_where_asked_for_or_where_nothing_else_is_left():
 
 
 def test_robot_time_is_that_of_the_simulated_bench():
-    shape, settings = load_object("L2").shape, SimulationSettings()
+    shape, settings = L2.shape, SimulationSettings()
     half = Accelerate(0, (1.0, -1.0, 1.5, -1.5))
     moves = (Rotate(0, duration=2.3, back=True), Rotate(1, duration=3.0), Slide(0, duration=1.7), half)
     pushes = (random_pushes(shape, 1, 0)[0], replace(random_pushes(shape, 1, 1)[0], speed=0.05, length=0.05))
@@ -311,7 +303,6 @@ def test_robot_time_is_that_of_the_simulated_bench():
         assert RobotTime().of(action) == pytest.approx((samples - 1) / settings.rate, abs=0.02)
 
 
-F2 = load_object("F2").shape
 BOX_GRASPS = (0, 2, 3)
 
 
@@ -322,7 +313,8 @@ def box(**family: object) -> ActionBox:
 def test_every_candidate_of_a_family_is_a_point_within_its_limits():
     whole = box()
     drawn = whole.family.sample(F2, BOX_GRASPS, 120, 0)
-    assert {type(action) for action in drawn} == set(whole.kinds)
+    assert {type(action) for action in drawn} == set(whole.kinds) > set(box(slides=False).kinds) == {Rotate, Accelerate}
+    assert box(slides=False, accelerated=False).kinds == (Rotate,)
     for action in drawn:
         again = whole.action(whole.point(action).astype(np.float32))
         assert whole.refusal(action) == ""
@@ -352,11 +344,6 @@ def test_every_point_is_an_action_of_the_family():
             assert arm <= whole.family.arm + 1e-4
 
 
-def test_a_family_without_slides_has_none():
-    assert box(slides=False).kinds == (Rotate, Accelerate)
-    assert box(slides=False, accelerated=False).kinds == (Rotate,)
-
-
 @pytest.mark.parametrize(
     ("action", "why"),
     [
@@ -379,45 +366,33 @@ def test_what_the_family_would_not_draw_is_refused(action, why):
         (lambda: box(slides=False).point(Slide(0)), "action"),
         (lambda: box(pushes=True), "ActionBox.family"),
         (lambda: ActionBox(F2, ()), "ActionBox.grasps"),
+        (lambda: Goal(until=-0.1), "Goal.until"),
+        (lambda: Goal(budget_s=0.0), "Goal.budget_s"),
+        (lambda: Goal(most=0), "Goal.most"),
     ],
 )
-def test_what_is_no_action_of_the_box_is_named(call, field):
+def test_what_is_no_action_of_the_box_and_no_goal_is_named(call, field):
     with pytest.raises(InvalidValueError) as error:
         call()
     assert error.value.field == field
 
 
-LONG = ((0.0,) * 3, (0.0,) * 3, (5.0, 0.0, 0.0))
-"""Weights that prefer long actions."""
-
-
-@pytest.fixture(scope="module")
-def plans():
-    model = load_object("I1")
-    shape, guess = model.shape, Guess(model.total_mass, preset("ft300s"))
-    design = Design.of(shape, ActionFamily().sample(shape, range(len(shape.grasps)), 30, 0), guess)
-
-    def plan(*index):
-        return greedy_plan(design, prior_belief(shape, guess), Goal(budget_s=60.0), FeasibilityLog(), *index)
-
-    return plan
-
-
-def test_zero_weights_are_greedy_and_weights_of_time_change_it(plans):
-    assert plans(TrainedIndex()).actions == plans().actions
-    first, other = plans(TrainedIndex(LONG)).steps[0], plans().steps[0]
-    assert first.seconds > other.seconds
+def test_zero_weights_are_greedy_and_weights_of_time_change_it():
+    made, before = design("I1", 30)
+    greedy, zero, long = (
+        greedy_plan(made, before, Goal(budget_s=60.0), FeasibilityLog(), *index)
+        for index in ((), (TrainedIndex(),), (TrainedIndex(LONG),))
+    )
+    assert zero.actions == greedy.actions
+    assert long.steps[0].seconds > greedy.steps[0].seconds
 
 
 def test_a_file_of_weights_is_the_same_again(tmp_path: Path):
     TrainedIndex(LONG, 60.0).save(tmp_path / "w.json", objects=3)
     assert TrainedIndex.load(tmp_path / "w.json") == TrainedIndex(LONG, 60.0)
+    assert TrainedIndex.load(SHIPPED).weights != TrainedIndex().weights, "those that heft comes with are not greedy's"
     policy = TrainedPolicy(1.0, (0, 1), file=str(tmp_path / "w.json"), most=2, candidates=40).policy
     assert (policy.goal, policy.index) == (Goal(budget_s=60.0, most=2), TrainedIndex(LONG, 60.0))
-
-
-def test_the_shipped_weights_are_not_greedys():
-    assert TrainedIndex.load(SHIPPED).weights != TrainedIndex().weights
 
 
 @pytest.mark.parametrize("text", [None, "{", '{"weights": [[1, 2]], "budget_s": 3}', '{"budget_s": 3}', "[1]"])

@@ -1,4 +1,4 @@
-"""Policies by rank, of stop-and-go lifts and of random pushes."""
+"""Policies: by rank, of stop-and-go lifts, of random pushes, and the next touch from what was felt."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from estimators.action_selection.candidates import ActionFamily
+from estimators.action_selection.design import NORMAL_MEAN, Guess
+from estimators.action_selection.online import Decision, OnlinePolicy
+from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import TRIES, RandomPushes, random_pushes
 from estimators.action_selection.rank import (
     RANK_DRIVEN,
@@ -18,7 +21,9 @@ from estimators.action_selection.rank import (
 )
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy
-from estimators.testing.analytic_world import analytic_trial, record
+from estimators.hidden_states.estimator import HiddenStates
+from estimators.posterior.estimator import Bayes
+from estimators.testing.analytic_world import analytic_trial, drawn_object, record
 from scenarios.policies import Policy
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
@@ -27,33 +32,45 @@ from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.objects.files import load_object
+from testbed.objects.model import ObjectModel
+from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.settings import SimulationSettings
+from testbed.trajectory import Trajectory
+from tests.fakes.analytic_push import analytic_pushes
+from tests.fakes.lifted_world import lifted
+from tests.helpers.answers import claimed
+from tests.helpers.answers import nad as off
+
+L2, F2 = load_object("L2").shape, load_object("F2").shape
+
+
+def actions_of(policy, shape=L2, refused=(), failed=()):
+    """All actions that a policy asks for, of which some fail."""
+    done = []
+    while (action := policy.next(shape, done)) is not None:
+        assert action not in refused
+        status = {"status": "slipped", "reason": "it slipped"} if action in failed else {}
+        done.append(replace(record(action=action), **status))
+    return [t.action for t in done]
 
 
 def test_the_policy_asks_until_the_rank_is_full():
-    shape = (obj := load_object("L1")).shape
-    policy = RankDriven(pivots=1, accelerated=3, duration=2.0)
+    shape, policy = load_object("L1").shape, RankDriven(pivots=1, accelerated=3, duration=2.0)
     assert isinstance(policy, ActionPolicy)
-    seen = []
-    while (action := policy.next(shape, seen)) is not None:
-        assert isinstance(action, Accelerate | Rotate)
-        seen.append(analytic_trial(obj, action))
-    turns = [t.action for t in seen if isinstance(t.action, Rotate)]
+    actions = actions_of(policy, shape)
+    turns = [action for action in actions if isinstance(action, Rotate)]
     assert predicted_rank(shape, turns) == 6
     assert predicted_rank(shape, turns[:-1]) < 6
-    assert sum(isinstance(t.action, Accelerate) for t in seen) == 3
+    assert sum(isinstance(action, Accelerate) for action in actions) == 3 == len(actions) - len(turns)
 
 
 def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
-    obj = load_object("I1")
-    policy = RankDriven(pivots=4, accelerated=0, grasps=(1, 2, 4, 5))
-    seen = []
-    while (action := policy.next(obj.shape, seen)) is not None:
-        assert isinstance(action, Rotate)
-        seen.append(analytic_trial(obj, action))
-    assert sorted(t.action.grasp for t in seen) == [1, 2, 4, 5]
-    assert RankDriven(grasps=()).next(obj.shape, []) is None
-    assert RankDriven(most=1).next(obj.shape, seen) is None
+    shape = load_object("I1").shape
+    actions = actions_of(RankDriven(pivots=4, accelerated=0, grasps=(1, 2, 4, 5)), shape)
+    assert all(isinstance(action, Rotate) for action in actions)
+    assert sorted(action.grasp for action in actions) == [1, 2, 4, 5]
+    assert RankDriven(grasps=()).next(shape, []) is None
+    assert RankDriven(most=1).next(shape, [record(action=action) for action in actions]) is None
 
 
 @pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L1", 2), ("F1", 2)])
@@ -131,18 +148,6 @@ def test_a_grasp_is_held_out_only_where_the_others_show_as_much(name):
     assert held_out_grasp(shape, grasps[:3], 0) is None, "three are left for the trials"
 
 
-L2 = load_object("L2").shape
-
-
-def actions_of(policy, refused=(), failed=()):
-    done = []
-    while (action := policy.next(L2, done)) is not None:
-        assert action not in refused
-        status = {"status": "slipped", "reason": "it slipped"} if action in failed else {}
-        done.append(replace(record(action=action), **status))
-    return [t.action for t in done]
-
-
 def test_it_lifts_by_the_innermost_grasps_and_goes_on_to_others():
     inner = sorted(range(len(L2.grasps)), key=lambda g: float(np.linalg.norm(L2.grasps[g].position)))
     lifts = [Lift.stop_and_go(g) for g in inner]
@@ -175,9 +180,6 @@ def test_lifts_that_stop_and_go_are_among_the_candidates():
     assert {action.poses for action in lifts} >= {2, 4}
 
 
-F2 = load_object("F2").shape
-
-
 @pytest.mark.slow
 def test_random_pushes_meet_the_whole_outline_and_are_repeatable():
     found = random_pushes(F2, 200, 4)
@@ -202,11 +204,8 @@ def test_the_policy_tries_others_where_one_is_refused_or_fails_and_ends():
 
 @pytest.mark.parametrize(("grasps", "pushed"), [(None, False), ((0,), True)], ids=["enough", "too few"])
 def test_pushes_follow_turns_that_leave_masses_open(grasps: tuple[int, ...] | None, pushed: bool):
-    shape, made = load_object("L2").shape, []
-    policy = RandomPushes(2, before=replace(RANK_DRIVEN["reversed_pairs"], accelerated=1, pivots=2, grasps=grasps))
-    while (action := policy.next(shape, made)) is not None:
-        made.append(SimpleNamespace(action=action, ok=True))
-    kinds = [type(t.action) for t in made]
+    turns = replace(RANK_DRIVEN["reversed_pairs"], accelerated=1, pivots=2, grasps=grasps)
+    kinds = [type(action) for action in actions_of(RandomPushes(2, before=turns))]
     assert kinds[:3] == [Accelerate, Rotate, Rotate] and kinds.count(Push) == 2 * pushed
     assert not pushed or kinds[-2:] == [Push, Push]
 
@@ -215,3 +214,144 @@ def test_pushes_follow_where_every_turn_is_refused():
     refused: dict[Action, str] = {Accelerate(0): "reach"}
     before = replace(RANK_DRIVEN["reversed_pairs"], grasps=(0,), refused=refused)
     assert isinstance(RandomPushes(2, refused=refused, before=before).next(F2, []), Push)
+
+
+def policy(obj: ObjectModel, goal: Goal, **changes: object) -> OnlinePolicy:
+    guess = Guess(obj.total_mass, preset("ft300s"))
+    made = OnlinePolicy(guess, goal, candidates=120, estimator=HiddenStates())
+    return replace(made, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def run(obj: ObjectModel, chooser: OnlinePolicy, most: int = 12, **world: object) -> tuple[list[Trajectory], Decision]:
+    trials: list[Trajectory] = []
+    for seed in range(most):
+        decision = chooser.decide(obj.shape, trials)
+        if decision.action is None:
+            return trials, decision
+        assert isinstance(decision.action, Rotate | Accelerate | Slide)
+        trials.append(analytic_trial(obj, decision.action, seed=seed, **world))  # pyright: ignore[reportArgumentType]
+    return trials, chooser.decide(obj.shape, trials)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2])
+def test_it_touches_until_the_masses_are_known(seed):
+    obj = drawn_object(seed)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, last = run(obj, chooser, noise=0.05)
+    assert last.why == "the target is met" and last.nad <= 0.02 and 2 <= len(trials) <= 8
+    assert last.estimate is not None and off(obj, last.estimate) < 0.04
+    nad = [chooser.decide(obj.shape, trials[:n]).nad for n in range(len(trials) + 1)]
+    assert (np.diff(nad) < 0).all()
+
+
+def test_time_and_trials_end_it_too():
+    obj = drawn_object(0)
+    first = policy(obj, Goal(until=1e-4, most=1))
+    trials, last = run(obj, first)
+    assert len(trials) == 1 and "1 trials were made" in last.why
+    _, short = run(obj, policy(obj, Goal(budget_s=4.0)))
+    assert "the budget is spent" in short.why and short.nad > 0.4
+
+
+def test_what_failed_is_not_asked_for_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal())
+    first = chooser.decide(obj.shape, []).action
+    assert isinstance(first, Rotate)
+    slipped = replace(analytic_trial(obj, first), status="slipped", reason="it slipped")
+    decision = chooser.decide(obj.shape, [slipped])
+    assert decision.action not in (None, first) and decision.nad == chooser.decide(obj.shape, []).nad
+
+
+@pytest.mark.slow
+def test_trials_that_contradict_each_other_teach_nothing():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=0.02))
+    trials, _ = run(obj, chooser, noise=0.02)
+    turned = [replace(trials[0], wrench_on_object_world=-trials[0].wrench_on_object_world), *trials[1:]]
+    last = chooser.decide(obj.shape, turned)
+    assert last.estimate is not None and last.estimate.status == "contradictory"
+    assert last.nad == last.even_nad == chooser.decide(obj.shape, []).nad and last.why != "the target is met"
+
+
+@pytest.mark.slow
+def test_an_answer_is_no_surer_than_it_says_itself():
+    obj, wide = drawn_object(0), 10.0
+
+    class Modest(HiddenStates):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            return found if found.covariance is None else replace(found, covariance=wide**2 * found.covariance)
+
+    trials, last = run(obj, policy(obj, Goal(until=0.02)), noise=0.05)
+    modest = policy(obj, Goal(until=0.02), estimator=Modest()).decide(obj.shape, trials)
+    assert modest.estimate is not None and modest.action is not None
+    its_own = claimed(modest.estimate) * obj.shape.particles_per_group
+    np.testing.assert_allclose(modest.standard_error, its_own)
+    assert modest.nad == pytest.approx(NORMAL_MEAN * its_own.sum() / obj.total_mass) and modest.nad > last.nad
+
+
+@pytest.mark.slow
+def test_a_kind_of_touch_that_an_answer_needs_is_made_after_however_many_of_another():
+    obj = drawn_object(0)
+
+    class Careful(HiddenStates):
+        def estimate(self, shape, weight, trajectories, seed):
+            found = super().estimate(shape, weight, trajectories, seed)
+            enough = any(isinstance(t.action, Accelerate) for t in trajectories)
+            return found if enough else replace(found, covariance=None, status="underdetermined")
+
+    chooser = policy(obj, Goal(until=0.1, most=100), estimator=Careful())
+    count = obj.shape.n_m + obj.shape.n_mu + 1
+    actions = [Rotate(0, duration=4.0, back=True, pivot=(0.05 * i, 0.01)) for i in range(count)]
+    turns = [analytic_trial(obj, action, seed=i) for i, action in enumerate(actions)]
+    last = chooser.decide(obj.shape, turns)
+    assert last.nad < 0.1 and last.even_nad > 0.3 and not last.answered and isinstance(last.action, Accelerate)
+    met = chooser.decide(obj.shape, [*turns, analytic_trial(obj, last.action, seed=count)])
+    assert met.answered and met.why == "the target is met"
+
+
+@pytest.mark.slow
+def test_a_lift_that_was_felt_counts():
+    obj = load_object("L2")
+    chooser = policy(obj, Goal())
+    chooser = replace(chooser, guess=replace(chooser.guess, supports=("rigid",)), estimator=Bayes("rigid"))
+    table = [
+        analytic_trial(obj, action, rigid=True, noise=0.05)
+        for action in (Rotate(2, duration=6.0, back=True), Accelerate(2))
+    ]
+    before = chooser.decide(obj.shape, table)
+    after = chooser.decide(obj.shape, [*table, lifted(obj, Lift(2), errors=1.0)])
+    assert after.nad < 0.8 * before.nad
+    assert (after.standard_error <= before.standard_error * 1.05).all()
+
+
+@pytest.mark.slow
+def test_trials_that_disagree_are_believed_less_and_the_odd_one_is_done_again():
+    obj = drawn_object(0)
+    chooser = policy(obj, Goal(until=1e-4))
+    trials, _ = run(obj, policy(obj, Goal(until=1e-4, most=6)), noise=0.02)
+    calm = chooser.decide(obj.shape, trials)
+    assert calm.why != "" or calm.action not in [t.action for t in trials]
+    odd = 4
+    pushed = replace(trials[odd], wrench_on_object_world=trials[odd].wrench_on_object_world * 1.1)
+    disagreeing = [*trials[:odd], pushed, *trials[odd + 1 :]]
+    upset = chooser.decide(obj.shape, disagreeing)
+    assert upset.nad > 2 * calm.nad
+    assert "disagree" in upset.why and upset.action == trials[odd].action
+    assert chooser.decide(obj.shape, [*disagreeing, trials[odd]]).action != trials[odd].action  # once is enough
+
+
+@pytest.mark.slow
+def test_what_cannot_be_gripped_is_pushed_until_it_is_known():
+    obj = drawn_object(3, ["11", "11", "11"])
+    ungripped = replace(obj, shape=replace(obj.shape, grasps=()))
+    chooser = policy(ungripped, Goal(until=0.06), estimator=HiddenStates())
+    chooser = replace(chooser, guess=replace(chooser.guess, sensing=Sensing("exact")), candidates=15)
+    trials: list[Trajectory] = []
+    while (decision := chooser.decide(ungripped.shape, trials)).action is not None:
+        assert isinstance(decision.action, Push) and len(trials) < 12
+        trials += analytic_pushes(ungripped, [decision.action])
+    assert decision.why == "the target is met" and decision.estimate is not None
+    assert off(obj, decision.estimate) < 0.08

@@ -275,9 +275,6 @@ def test_what_cannot_be_asked_is_refused_with_what_can(call: Callable[[], object
         call()
 
 
-LINKS = "scenarios/library/objects/fold_2.toml"
-
-
 @pytest.mark.slow
 def test_links_are_slid_and_turned():
     actions = actions_of(load_object(LINKS), pivots=2, slides=3)

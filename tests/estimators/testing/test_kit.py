@@ -1,38 +1,45 @@
-"""The conformance kit: its known blocks, what it says of a wrong answer, and heft's own estimators held to it."""
+"""The conformance kit: its known blocks and rules, what it says of a wrong answer, and heft's own estimators in it."""
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate, Estimator
+from estimators.base import Estimate, Estimator, Trace
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.support_models.estimator import SupportAware
+from estimators.testing import conformance as rules
 from estimators.testing import plugin, recorded
-from estimators.testing.conformance import ALLOWED, recovers, shows_every_mass
+from estimators.testing.conformance import ALLOWED, CONFORMANCE, WITHOUT_DRAWS, recovers, shows_every_mass
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
 from estimators.testing.test_estimator import cases
 from testbed.actions.rotate import Rotate
 from testbed.errors import InvalidValueError
 from testbed.objects.files import Blocks, ObjectFile
-from testbed.objects.model import GRAVITY, MassDistribution
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import PRESETS
 from testbed.sensing.windows import steady_windows
+from testbed.trajectory import Trajectory
 
 OWN_WEIGHT = [name for name in block_names() if name.endswith("own_weight")]
 FEW = ("L2-own_weight", "drawn_a-own_weight", "two_frictions-own_weight")
-"""Of one kind each; CI recovers the others too."""
+"""Of one kind each; the whole kit recovers the others too."""
+
+
+def estimator(estimate: Callable[..., Estimate], **more: Callable[..., Any]) -> Estimator:
+    """An estimator of these methods."""
+    return cast(Estimator, SimpleNamespace(estimate=estimate, **more))
 
 
 def answering(say: Callable[[KnownBlock], Estimate], block: KnownBlock) -> Estimator:
-    return cast(Estimator, SimpleNamespace(estimate=lambda *_: say(block)))
+    return estimator(lambda *_: say(block))
 
 
 def right(block: KnownBlock) -> Estimate:
@@ -101,6 +108,9 @@ def test_every_draw_has_errors_of_its_own_and_the_same_ones_again():
 
 OTHER = MassDistribution(np.array([0.1, 0.2]), np.array([0.5]))
 SILENT = Estimate(None, "underdetermined", "too few turns")
+
+
+LATE: dict[str, Any] = {"status": "not_converged", "message": "no"}
 VERDICTS = [
     ("L2-own_weight", "ideal", right, None),
     ("L2-rigid", "ideal", right, None),
@@ -110,13 +120,8 @@ VERDICTS = [
     ("L2-rigid", "ideal", lambda _: SILENT, None),
     ("L2-own_weight", "high", lambda _: SILENT, None),
     ("L2-own_weight", "ideal", lambda _: SILENT, r"\(too few turns\), where these trials show every mass"),
-    (
-        "L2-own_weight",
-        "ideal",
-        lambda block: replace(even(block), status="not_converged", message="no"),
-        r"NAD 44\.4 %",
-    ),
-    ("L2-own_weight", "ideal", lambda block: replace(right(block), status="not_converged", message="no"), None),
+    ("L2-own_weight", "ideal", lambda block: replace(even(block), **LATE), r"NAD 44\.4 %"),
+    ("L2-own_weight", "ideal", lambda block: replace(right(block), **LATE), None),
     ("L2-rigid", "ideal", lambda _: replace(SILENT, message=""), "without a message"),
     ("L2-own_weight", "ideal", lambda _: cast(Estimate, None), r"estimate\(\): got None; allowed: an Estimate"),
     ("L2-own_weight", "ideal", lambda _: Estimate(OTHER, "ok"), "got '2 masses, 1 frictions'; allowed: 6 and 1"),
@@ -135,8 +140,8 @@ def test_slack_allows_more():
     recovers(answering(even, block), block, "ideal", [], slack=6.0)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in FEW)) for n in OWN_WEIGHT])
-def test_algorithm_1_recovers_every_block_on_its_own_weight(name):
+@pytest.mark.parametrize("name", FEW)
+def test_algorithm_1_recovers_blocks_on_their_own_weight(name):
     block = load_block(name)
     for sensing in ("ideal", "ft300s"):
         recovers(HiddenStates(), block, sensing, block.trials(sensing))
@@ -154,9 +159,13 @@ def test_a_rigid_body_is_what_support_aware_knows_and_algorithm_1_does_not(name)
         recovers(answering(lambda _: replace(answer, status="ok"), block), block, "ideal", [])
 
 
-def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pytest", "-p", "estimators.testing.plugin", "--pyargs", "estimators.testing"]
-    return subprocess.run([*command, *arguments], check=False, capture_output=True, text=True, cwd=tmp_path)
+OWN = ("--pyargs", "estimators.testing")
+"""Tests that the kit brings."""
+
+
+def kit(tmp_path, *arguments: str, tests: tuple[str, ...] = OWN) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-p", "estimators.testing.plugin", *tests, *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path)
 
 
 @pytest.mark.slow
@@ -164,7 +173,7 @@ def kit(tmp_path, *arguments: str) -> subprocess.CompletedProcess[str]:
     ("path", "options"),
     [
         ("estimators:HiddenStates", ("--estimator-support", "own_weight", "--estimator-thorough")),
-        ("estimators:SupportAware", ("--estimator-support", "both")),
+        ("estimators:SupportAware", ("--estimator-support", "both", "--estimator-small")),
     ],
 )
 def test_the_whole_kit_passes(tmp_path, path, options):
@@ -197,6 +206,98 @@ def test_the_fixtures_serve_tests_of_ones_own(tmp_path):
         '    assert (known_block.name, sensing, len(recorded_trials)) == ("L2-rigid", "high", 7)\n',
         encoding="utf-8",
     )
-    command = [sys.executable, "-m", "pytest", "-p", "estimators.testing.plugin", "test_mine.py"]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path)
+    done = kit(tmp_path, tests=("test_mine.py",))
     assert "1 passed" in done.stdout, done.stdout
+
+
+REAL = HiddenStates()
+BAD_LUCK = np.random.default_rng(0)
+
+
+def changed(change: Callable[[Estimate, ObjectShape], Estimate], *, forgiving: bool = False) -> Estimator:
+    """The real estimator with its answer changed; a forgiving one leaves out trials of another object."""
+
+    def estimate(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], seed: int) -> Estimate:
+        if forgiving:
+            trajectories = [t for t in trajectories if getattr(t.action, "grasp", 0) < len(shape.grasps)]
+        return change(REAL.estimate(shape, weight, trajectories, seed), shape)
+
+    return estimator(estimate)
+
+
+def fragile(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], seed: int) -> Estimate:
+    """An estimate that takes only trials that went well."""
+    if not all(t.ok for t in trajectories):
+        raise RuntimeError("a trial did not end well")
+    return REAL.estimate(shape, weight, trajectories, seed)
+
+
+def careless(shape: ObjectShape, weights: Any, draws: Any, seeds: Any) -> list[Estimate]:
+    """A batch that gives every draw the answer of the first."""
+    return [REAL.estimate(shape, weights[0], draws[0], seeds[0])] * len(draws)
+
+
+def with_masses(of: Callable[[np.ndarray, ObjectShape], np.ndarray]) -> Estimator:
+    """The real estimator with its masses changed."""
+
+    def change(answer: Estimate, shape: ObjectShape) -> Estimate:
+        if answer.distribution is None:
+            return answer
+        changed = MassDistribution(of(answer.distribution.mass, shape), answer.distribution.friction)
+        return replace(answer, distribution=changed, covariance=None)
+
+    return changed(change)
+
+
+def guessing(answer: Estimate, shape: ObjectShape) -> Estimate:
+    if answer.distribution is not None:
+        return answer
+    return replace(answer, status="ok", distribution=MassDistribution(np.ones(shape.n_m), np.ones(shape.n_mu)))
+
+
+RAGGED = (Trace("steps", (2.0, 1.0), (0.0,), 1.0, np.empty((0, 0))),)
+BREACHES: dict[Callable[..., None], Estimator] = {
+    rules.answers_in_the_shapes_groups: with_masses(lambda mass, _: mass[:-1]),
+    rules.gives_the_same_answer_to_the_same_seed: with_masses(lambda mass, _: mass * BAD_LUCK.uniform(0.9, 1.1)),
+    rules.doubles_the_masses_when_all_wrenches_double: with_masses(lambda _, shape: np.full(shape.n_m, 0.1)),
+    rules.does_not_care_for_the_order_of_particles: with_masses(
+        lambda mass, shape: np.where(np.arange(shape.n_m) == shape.mass_group[0], 2, 1) * mass
+    ),
+    rules.does_not_care_for_the_order_of_groups: with_masses(
+        lambda mass, _: mass * np.append(2, np.ones(len(mass) - 1))
+    ),
+    rules.takes_extra_trajectories: estimator(fragile),
+    rules.says_so_when_there_is_too_little: changed(guessing),
+    rules.traces_its_way: changed(lambda answer, _: replace(answer, traces=RAGGED)),
+    rules.answers_many_draws_as_one_by_one: estimator(REAL.estimate, estimate_many=careless),
+    rules.refuses_trials_of_another_shape: changed(lambda answer, _: answer, forgiving=True),
+    rules.does_not_hide_that_trajectories_contradict_each_other: changed(
+        lambda answer, shape: replace(guessing(answer, shape), status="ok", diagnostics={"loss": 1.0})
+    ),
+}
+
+
+@pytest.mark.parametrize("rule", BREACHES, ids=lambda rule: rule.__name__)
+def test_a_breach_is_caught(rule):
+    assert isinstance(BREACHES[rule], Estimator)
+    with pytest.raises((AssertionError, RuntimeError, pytest.fail.Exception)):
+        rule(BREACHES[rule])
+
+
+def test_every_rule_has_a_breach():
+    assert {*BREACHES} == {*CONFORMANCE, *WITHOUT_DRAWS}
+
+
+@pytest.mark.slow
+def test_an_estimator_is_given_no_truth():
+    given: list[Any] = []
+
+    def estimate(shape: Any, weight: Any, trajectories: Any, seed: Any) -> Estimate:
+        given.extend([shape, weight, seed, *trajectories])
+        return REAL.estimate(shape, weight, trajectories, seed)
+
+    for rule in (*CONFORMANCE, *WITHOUT_DRAWS):
+        rule(estimator(estimate))
+    assert {type(value) for value in given} <= {ObjectShape, float, int, Trajectory}
+    inside = [part for value in given if isinstance(value, Trajectory) for part in vars(value).values()]
+    assert not any(isinstance(part, ObjectModel | MassDistribution) for part in inside)

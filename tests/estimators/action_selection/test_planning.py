@@ -14,7 +14,7 @@ from estimators.action_selection.candidates import REACH, ActionFamily, clear_of
 from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief, steady
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_plan
-from estimators.action_selection.plan import FeasibilityLog, Goal
+from estimators.action_selection.plan import FeasibilityLog, Goal, Plan
 from estimators.action_selection.pushes import random_pushes
 from estimators.action_selection.trained import SHIPPED, TrainedIndex, TrainedPolicy
 from estimators.identifiability.information import (
@@ -106,10 +106,9 @@ def test_a_lift_adds_its_information_to_a_rigid_body_alone():
 
 
 def test_the_errors_of_a_plan_are_those_of_the_report():
-    model = load_object("F2")
-    shape = model.shape
-    actions = [Rotate(0, pivot=(0.01, 0.04), back=True), Rotate(2, pivot=(0.03, -0.04), back=True)]
-    actions.append(Rotate(1, pivot=(-0.04, -0.09), back=True))
+    model, shape = load_object("F2"), F2
+    pivots = {0: (0.01, 0.04), 2: (0.03, -0.04), 1: (-0.04, -0.09)}
+    actions = [Rotate(grasp, pivot=pivot, back=True) for grasp, pivot in pivots.items()]
     alone = predicted_information(shape, model.truth, actions, FT300S, Assumptions())
     weighing = Weighing.of(shape, FT300S.scale, EXACT_SETUP)
     information = prior_information(shape, weighing, Assumptions()) + alone.information()
@@ -198,17 +197,15 @@ def test_where_support_is_not_known_a_plan_accelerates(supports):
 def test_a_lift_is_planned_where_it_teaches_more_a_second():
     """Under one rigid body it parts the second moments, and shows them better than an arm that swings on the table."""
 
-    def lifts(name: str, support: str, *, allowed: bool = True) -> tuple[int, float]:
-        family = ActionFamily(lifts=allowed)
-        made = PlannedPolicy(guess(name, supports=(support,)), goal=Goal(budget_s=80.0), candidates=400, family=family)
-        plan = made.plan(load_object(name).shape)
-        return sum(isinstance(action, Lift) for action in plan.actions), plan.after.expected_nad
+    def planned(name: str, support: str, *, lifts: bool = True) -> Plan:
+        settings = {"goal": Goal(budget_s=80.0), "candidates": 400, "family": ActionFamily(lifts=lifts)}
+        return PlannedPolicy(guess(name, supports=(support,)), **settings).plan(load_object(name).shape)
 
     for name in ("L2", "F2"):
-        some, with_lifts = lifts(name, "rigid")
-        _, without = lifts(name, "rigid", allowed=False)
-        assert some and with_lifts < 0.8 * without
-    assert lifts("L2", "own_weight")[0] == 0
+        some, none = (planned(name, "rigid", lifts=lifts) for lifts in (True, False))
+        assert any(isinstance(action, Lift) for action in some.actions)
+        assert some.after.expected_nad < 0.8 * none.after.expected_nad
+    assert not any(isinstance(action, Lift) for action in planned("L2", "own_weight").actions)
 
 
 @pytest.mark.slow

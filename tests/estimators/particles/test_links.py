@@ -88,8 +88,8 @@ def hinges_of(obj: ObjectModel, answer: Estimate) -> list[float]:
 
 
 @cache
-def trials_of(obj: ObjectModel) -> list[Trajectory]:
-    return [analytic_links(obj, action) for action in drags(obj)]
+def trials_of(obj: ObjectModel, **rates: float) -> list[Trajectory]:
+    return [analytic_links(obj, action, **rates) for action in drags(obj)]
 
 
 @pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])
@@ -156,8 +156,7 @@ def test_hinges_join_links_and_rates_are_those_of_places():
     ids=["two links as recorded", "three, a sample a part"],
 )
 def test_masses_and_hinges_are_recovered_without_noise(obj: ObjectModel, rates: dict[str, float], within: float):
-    trials = [analytic_links(obj, action, **rates) for action in drags(obj)]
-    answer = ask(obj, trials, HiddenStates(pivot_error=1e-8, refinements=5))
+    answer = ask(obj, trials_of(obj, **rates), HiddenStates(pivot_error=1e-8, refinements=5))
     assert answer.status == "ok"
     assert_allclose(found(answer).mass, obj.truth.mass, rtol=within)
     assert_allclose(hinges_of(obj, answer), obj.hinge_friction, rtol=within)

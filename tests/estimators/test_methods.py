@@ -9,19 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from estimators import METHODS, Bayes, DiffLcp, ExplicitState, HiddenStates, Learned, MujocoSysid, SupportAware
 from estimators.base import Estimate, Estimator
 from estimators.baselines.base import GradientBaseline
-from estimators.baselines.diff_lcp import DiffLcp
-from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.sampling import RandomSearch, WeightedSampling
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.published import PublishedHiddenStates
-from estimators.learned.estimator import Learned
-from estimators.posterior.estimator import Bayes
-from estimators.registry import METHODS
-from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import drawn_object, turns
 from estimators.testing.conformance import (
     CONFORMANCE,
@@ -30,8 +23,7 @@ from estimators.testing.conformance import (
     does_not_hide_that_trajectories_contradict_each_other,
     small_object,
 )
-from testbed.errors import InvalidValueError
-from testbed.objects.model import MassDistribution
+from testbed import InvalidValueError, MassDistribution
 
 
 def few_blocks(seed):
@@ -46,11 +38,7 @@ BASELINES = {
     # the rules do not ask how good an answer is, and this one takes long
     "diff_lcp": DiffLcp(iterations=12),
 }
-PEERS = {
-    "cma_es": CmaEs(iterations=600),
-    "nelder_mead": NelderMead(iterations=600),
-    "least_squares": LeastSquares(),
-}
+PEERS = {"cma_es": CmaEs(iterations=600), "nelder_mead": NelderMead(iterations=600), "least_squares": LeastSquares()}
 VARIANTS = {
     "hidden_states": (HiddenStates(), drawn_object),
     "descent": (HiddenStates(solver="descent"), few_blocks),

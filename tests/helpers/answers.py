@@ -9,22 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.base import Estimate, Estimator
+from estimators import Estimate, Estimator, HiddenStates, ModelErrors, Observations, observe
 from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.lifts import lifts_among
-from estimators.particles.observe import observe
-from estimators.particles.windows import Observations
 from estimators.posterior.in_air import InAir
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import FRICTION, FRICTION_STD, MASS_STD
 from estimators.posterior.solver import solve
 from estimators.posterior.unknowns import Block, Unknowns
 from estimators.testing.analytic_world import accelerated, turns
-from estimators.wrench.model import ModelErrors
 from estimators.wrench.setup import stated_sizes
-from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
-from testbed.trajectory import Trajectory
+from testbed import MassDistribution, ObjectModel, ObjectShape, Trajectory
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
 

@@ -4,11 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from scenarios.config import Scenario
+from scenarios import Scenario, run_scenario
 from scenarios.results.files import write_json
-from scenarios.study.run import run_scenario
-from testbed.actions.rotate import Rotate
-from testbed.actions.weigh import Weigh
+from testbed import Rotate, Weigh
 from tests.helpers.recorded import put_trial
 
 SMALL = {

@@ -10,12 +10,7 @@ from numpy.testing import assert_allclose
 from estimators.base import Estimate
 from scenarios.cli.main import main
 from scenarios.views.answers import support_verdict
-from testbed.actions.base import Action
-from testbed.actions.lift import Lift
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.files import load_object
-from testbed.objects.model import MassDistribution
+from testbed import Action, Lift, MassDistribution, Rotate, Slide, load_object
 from tests.helpers.chunks import read_chunks, verify
 from viz.figures.plan import plan_figure
 from viz.report.answer_maps import answer_maps

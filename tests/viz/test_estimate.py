@@ -15,12 +15,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.base import Trace
-from testbed.actions.weigh import Weigh
-from testbed.errors import InvalidValueError
+from testbed import GRAVITY, InvalidValueError, MassDistribution, ObjectShape, Trajectory, Weigh, load_object
 from testbed.frames import transform_point
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
-from testbed.trajectory import Trajectory
 from tests.helpers.chunks import Entity, logged
 from tests.helpers.records import turn_record
 from viz.recordings.bars import filled

@@ -18,16 +18,13 @@ from estimators.base import Trace
 from scenarios.results.estimates import load_results
 from scenarios.results.table import rows_of
 from scenarios.views.figures import figures, file_name
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import MassDistribution
-from viz.figures.bars import estimate_bars
+from testbed import InvalidValueError, MassDistribution, load_object
+from viz import EstimateView, WrenchFit, estimate_bars
 from viz.figures.loss import estimate_losses
 from viz.figures.maps import MeanAnswer, estimate_maps, map_scales, mass_maps, save_figure
 from viz.figures.nad import axis_label, nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS, series_color, text_color
-from viz.values import EstimateView, WrenchFit
 
 UNITS = re.compile(r", (kg|kg per group|N|N m|N/m|m|s|%)$")
 WITHOUT_UNIT = {"iteration", "loss", "group", "loss over first loss", "truth.friction", "k"}

@@ -176,10 +176,7 @@ VALUES = 100 * np.array(NAD["hidden_states"])
 @pytest.mark.parametrize(
     ("start", "parts"),
     [
-        (
-            "hidden_|states|",
-            (f"{VALUES.mean():.2f} ± {VALUES.std(ddof=1):.2f}",),
-        ),
+        ("hidden_|states|", (f"{VALUES.mean():.2f} ± {VALUES.std(ddof=1):.2f}",)),
         ("  paper, real robot|", ("46.4",)),
         ("the true masses|", ("0.33 ± 0.00",)),
         ("the true masses|", ("0.44 ± 0.00",)),

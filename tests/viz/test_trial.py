@@ -16,17 +16,10 @@ from estimators.testing.analytic_world import drawn_object
 from scenarios.results.files import write_json
 from scenarios.views.pages import page_of, trial_page
 from scenarios.views.values import POSES_EVERY, friction_of, trial_view, wrench_fit
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
-from testbed.errors import HeftError, InvalidValueError
+from testbed import HeftError, InvalidValueError, Push, Rotate, Slide, Weigh, draw_sensing, load_object, preset
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
-from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import contact_path, push_samples, push_windows
 from testbed.simulation.rendering import body_poses
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory

@@ -17,12 +17,7 @@ from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy
 from estimators.action_selection.plan import FeasibilityLog, Goal, Plan
 from estimators.action_selection.pushes import random_pushes
 from estimators.action_selection.trained import SHIPPED, TrainedIndex, TrainedPolicy
-from estimators.identifiability.information import (
-    Assumptions,
-    expected,
-    predicted_information,
-    prior_information,
-)
+from estimators.identifiability.information import Assumptions, expected, predicted_information, prior_information
 from estimators.identifiability.predicted import predicted_lift, predicted_windows
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import OnTable
@@ -30,17 +25,9 @@ from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Measurement, Optimum
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.sensing.presets import preset
+from testbed import Accelerate, InvalidValueError, Lift, Push, Rotate, Slide, load_object, preset, world
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
-from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
 
 FT300S = preset("ft300s")

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from estimators import ActionPolicy, OnlinePolicy, RankDriven
 from estimators.action_selection.design import Guess
 from estimators.action_selection.greedy import PlannedPolicy, rank_driven_plan
-from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.rank import RankDriven
-from estimators.base import ActionPolicy
 from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
 from scenarios.cli.plan import plan_view
@@ -22,14 +20,7 @@ from scenarios.config import Policy
 from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results
 from scenarios.runners import FeasibilityCheck
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.sensing.presets import preset
-from testbed.simulation.settings import SimulationSettings
+from testbed import Accelerate, InvalidValueError, Push, Rotate, SimulationSettings, Slide, load_object, preset
 from tests.helpers.chunks import logged, read_chunks
 from viz.recordings.plan import plan_page
 from viz.values import ActionArrow

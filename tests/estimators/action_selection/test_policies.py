@@ -7,35 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from estimators import ActionPolicy, Bayes, HiddenStates
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import NORMAL_MEAN, Guess
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import TRIES, RandomPushes, random_pushes
-from estimators.action_selection.rank import (
-    RANK_DRIVEN,
-    RankDriven,
-    between_particles,
-    held_out_grasp,
-    predicted_rank,
-)
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, held_out_grasp, predicted_rank
 from estimators.action_selection.stop_and_go import StopAndGo
-from estimators.base import ActionPolicy
-from estimators.hidden_states.estimator import HiddenStates
-from estimators.posterior.estimator import Bayes
 from estimators.testing.analytic_world import analytic_trial, drawn_object, record
 from scenarios.policies import Policy
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
-from testbed.sensing.presets import Sensing, preset
+from testbed import Accelerate, Action, Lift, ObjectModel, Push, Rotate, Sensing, Slide, Trajectory, load_object, preset
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory
 from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import claimed

@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate
+from estimators import DiffLcp, Estimate, ExplicitState, LeastSquares
 from estimators.baselines.base import DENSEST, ITERATIONS, Baseline
-from estimators.baselines.diff_lcp import DiffLcp
-from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.optimizers import LeastSquares
 from estimators.baselines.sampling import RandomSearch, WeightedSampling, _grid
 from estimators.descent import OPTIMIZERS
 from estimators.testing.analytic_world import drawn_object, turns
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
-from testbed.trajectory import Trajectory
+from testbed import ObjectModel, Trajectory, load_object
 from tests.helpers.answers import ask as answered
 from tests.helpers.answers import claimed, found, nad, trials_of
 from tests.helpers.blocks import blocks
@@ -58,8 +53,7 @@ WITH_M = ExplicitState(use_weight=True, weighting="covariance")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("draw", "iterations", "error"),
-    [(2, 1000, 5e-4), ("L2", 3000, 1e-5), ("F2", 6000, 1e-5), (1, 3000, 1e-5)],
+    ("draw", "iterations", "error"), [(2, 1000, 5e-4), ("L2", 3000, 1e-5), ("F2", 6000, 1e-5), (1, 3000, 1e-5)]
 )
 def test_explicit_state_with_m_converges_to_the_truth(draw, iterations, error):
     obj = drawn_object(draw) if isinstance(draw, int) else load_object(draw)

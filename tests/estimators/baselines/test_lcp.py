@@ -13,8 +13,7 @@ from estimators.baselines.dry_friction import LcpError
 from estimators.baselines.lcp import LcpEngine, _Advance, polygon_sides
 from estimators.testing.analytic_world import drawn_object
 from estimators.wrench.model import Inertia, ParticleModel, inertia_of, rotate
-from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY
+from testbed import GRAVITY, InvalidValueError
 from tests.helpers.lcp_oracle import Step, Textbook, explicit_rollout, interior_point, rollout, solve_step
 
 OBJECTS = [drawn_object(seed, friction_groups=2) for seed in range(3)]

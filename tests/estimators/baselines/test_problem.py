@@ -8,10 +8,9 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate
+from estimators import Estimate, HiddenStates
 from estimators.baselines.base import Baseline
 from estimators.baselines.problem import ROUNDS, STEP, Problem
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import inertia_map, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
@@ -20,10 +19,7 @@ from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.wrench.support import own_weight
-from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.trajectory import Trajectory
+from testbed import GRAVITY, InvalidValueError, ObjectModel, Slide, Trajectory
 from tests.helpers.answers import true_values, windows_of
 from tests.helpers.blocks import blocks
 

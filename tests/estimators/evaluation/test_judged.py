@@ -6,29 +6,20 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from estimators import METHODS, DiffLcp, ExplicitState, HiddenStates, MujocoSysid, PublishedHiddenStates, SupportAware
 from estimators.base import Estimate, EstimateStatus
-from estimators.baselines.diff_lcp import DiffLcp
-from estimators.baselines.explicit_state import ExplicitState
-from estimators.baselines.mujoco_sysid import MujocoSysid
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.evaluation import judged as judging
 from estimators.evaluation.judged import judged, misfit_on
-from estimators.hidden_states.estimator import HiddenStates
-from estimators.hidden_states.published import PublishedHiddenStates
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.posterior.diagnosis import Cause, diagnose
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.posterior import CAUSES
-from estimators.registry import METHODS
-from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
 from estimators.testing.recorded import KnownBlock, load_block
 from estimators.wrench.support import SupportModel
-from testbed.errors import HeftError
-from testbed.objects.model import MassDistribution
-from testbed.worlds.presets import world
-from testbed.worlds.setup_errors import SetupErrors
+from testbed import HeftError, MassDistribution, SetupErrors, world
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, turns_beside
 
 OWN, RIGID = load_block("I2-own_weight"), load_block("I2-rigid")

@@ -24,11 +24,8 @@ from estimators.particles.wrench import AffineLoads
 from estimators.testing.analytic_world import drawn_object, turns
 from estimators.wrench.model import ParticleModel, inertia_of, rotate
 from estimators.wrench.support import SupportModel
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
+from testbed import InvalidValueError, MassDistribution, ObjectModel, ObjectShape, Trajectory, load_object
 from testbed.sensing.windows import steady_samples
-from testbed.trajectory import Trajectory
 from tests.helpers.answers import windows_of
 from tests.helpers.lcp_oracle import explicit_rollout
 from tests.helpers.rows import row

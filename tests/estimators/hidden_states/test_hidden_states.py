@@ -8,8 +8,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate
-from estimators.hidden_states.estimator import HiddenStates
+from estimators import Estimate, HiddenStates
 from estimators.hidden_states.masses import SMALLEST_PART
 from estimators.hidden_states.published import (
     DT,
@@ -24,10 +23,7 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT as NO_ERRORS
 from estimators.wrench.model import Inertia
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
+from testbed import ObjectModel, Rotate, Slide, load_object
 from tests.fakes.flawed_bench import biased
 from tests.helpers.answers import ask, claimed, found, nad, trials_of
 

@@ -27,13 +27,8 @@ from estimators.posterior import table_errors
 from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
+from testbed import Accelerate, InvalidValueError, Rotate, Slide, Trajectory, load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
-from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.helpers.answers import trials_of, windows_of
 from tests.helpers.blocks import blocks

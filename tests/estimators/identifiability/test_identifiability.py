@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from estimators import HiddenStates, OnlinePolicy, PlannedPolicy
 from estimators.action_selection.candidates import MOST_DRAGS, ActionFamily
 from estimators.action_selection.design import Guess
 from estimators.action_selection.drags import random_drags
-from estimators.action_selection.greedy import PlannedPolicy
-from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.pushes import random_pushes
 from estimators.action_selection.rank import between_particles
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.identifiability.information import (
     Assumptions,
     expected,
@@ -31,20 +29,11 @@ from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import drawn_object, own_weight_loads, turns
 from scenarios.cli.main import main
 from scenarios.cli.plan import actions_of
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action
-from testbed.actions.lift import Lift
+from testbed import Accelerate, Action, Lift, Push, Rotate, Slide, Trajectory, Weigh, load_object, world
 from testbed.actions.path import RAMP_TIME
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import Sensing, preset
-from testbed.trajectory import Trajectory
-from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes

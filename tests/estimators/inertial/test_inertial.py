@@ -32,17 +32,11 @@ from estimators.inertial.body import InertialParameters, shift_map
 from estimators.inertial.estimate import InertialEstimate
 from estimators.inertial.payload import Payload, as_franka, as_json, as_kortex, as_ur
 from scenarios.cli.main import main
-from testbed.actions.lift import Lift
-from testbed.errors import InvalidValueError
+from testbed import RIGID, InvalidValueError, Lift, Phase, SimulationRunner, Trajectory, Trial, load_object, preset
 from testbed.frames import rotation_matrix, rotation_z
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, Solid
 from testbed.robot.calibration.file import save_calibration
 from testbed.robot.calibration.static_poses import Calibration
-from testbed.sensing.presets import preset
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Phase, Trajectory
-from testbed.trial import RIGID, Trial
 from tests.fakes.lifted_world import lifted
 from tests.helpers.blocks import blocks
 

@@ -7,18 +7,14 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from estimators import Learned, observe
 from estimators.learned.checkpoint import load_examples, save_examples
-from estimators.learned.estimator import Learned
 from estimators.learned.examples import RATES, Examples, fixed_axes
 from estimators.learned.question import ask
-from estimators.particles.observe import observe
 from estimators.registry import check_installed, code_of
 from estimators.testing.analytic_lab import LAB, Draw, contacts, drawn, flawed_trial
 from estimators.testing.analytic_world import drawn_object
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
-from testbed.worlds.setup_errors import SetupErrors
+from testbed import Accelerate, InvalidValueError, Rotate, SetupErrors
 from tests.helpers.lab import SEED, lab_trials, renamed
 
 

@@ -10,10 +10,9 @@ import torch
 from jaxtyping import Float
 from numpy.testing import assert_allclose
 
+from estimators import METHODS, Estimate, HiddenStates, build_method
 from estimators.action_selection.drags import RandomDrags
-from estimators.base import Estimate
 from estimators.evaluation.metrics import hinge_columns
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows
 from estimators.identifiability.quasi_static import Drag
@@ -24,31 +23,21 @@ from estimators.particles.wrench import AffineLoads, WrenchModel, predicted_wren
 from estimators.posterior import table_errors
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.priors import priors
-from estimators.registry import METHODS, build_method
 from estimators.testing.analytic_world import drawn_object
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight_loads
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import Accelerate, Action, ObjectModel, Push, Rotate, SetupErrors, Slide, Trajectory, load_object, preset
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import perpendicular, rotation_2d
 from testbed.objects.chain import Chain
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import CAMERAS, draw_camera
 from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import WINDOW, push_windows, touching
 from testbed.sensing.windows import PARTS, wrench_in_object
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings
-from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial
-from testbed.worlds.setup_errors import SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes, drag_of, steady_pushes
 from tests.helpers.answers import ask, claimed, found, nad, true_values, windows_of

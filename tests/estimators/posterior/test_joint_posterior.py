@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 from torch import Tensor
 
-from estimators.hidden_states.estimator import HiddenStates
+from estimators import HiddenStates, Observations
 from estimators.particles import links
 from estimators.particles.lifts import lifts_among
-from estimators.particles.windows import Observations
 from estimators.posterior import solver, table_errors
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.in_air import InAir
@@ -28,12 +27,7 @@ from estimators.testing.analytic_lab import drawn
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.faces import faces
-from testbed.worlds.presets import world
+from testbed import Lift, Push, Rotate, Slide, faces, world
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes

@@ -14,31 +14,23 @@ from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 from scipy.special import logsumexp
 
-from estimators.action_selection.rank import RankDriven
-from estimators.base import Estimate
+from estimators import Estimate, RankDriven, SupportAware
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.support import SupportTest, support_test
-from estimators.support_models.estimator import SupportAware
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.testing.analytic_world import drawn_object, foundation, turns
 from estimators.wrench.model import EXACT, ParticleModel, inertia_of
 from estimators.wrench.support import GripperLoad, SupportModel, contact_spread, rigid_loads
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
+from testbed import Accelerate, InvalidValueError, Rotate, SetupErrors, SimulationRunner, Trajectory, load_object
 from testbed.objects.conversion.convert import convert_mesh
-from testbed.objects.files import load_object
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.simulation.contacts import foot_stiffness
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import ContactSettings, SimulationSettings
-from testbed.trajectory import Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial, parse_support, support_of
-from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.answers import ask, claimed, found, holds, nad, trials_of
 from tests.helpers.blocks import blocks
 

@@ -12,21 +12,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators.base import Estimate, Estimator, Trace
-from estimators.hidden_states.estimator import HiddenStates
-from estimators.support_models.estimator import SupportAware
+from estimators import Estimate, Estimator, HiddenStates, SupportAware, Trace
 from estimators.testing import conformance as rules
 from estimators.testing import plugin, recorded
 from estimators.testing.conformance import ALLOWED, CONFORMANCE, WITHOUT_DRAWS, recovers, shows_every_mass
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
 from estimators.testing.test_estimator import cases
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, Rotate, Trajectory, steady_windows
 from testbed.objects.files import Blocks, ObjectFile
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import PRESETS
-from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Trajectory
 
 OWN_WEIGHT = [name for name in block_names() if name.endswith("own_weight")]
 FEW = ("L2-own_weight", "drawn_a-own_weight", "two_frictions-own_weight")

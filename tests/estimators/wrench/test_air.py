@@ -16,16 +16,11 @@ from estimators.support_models.estimator import SupportAware
 from estimators.testing.analytic_world import RATE, TOOL, drawn_object
 from estimators.wrench.air import Air, Matter, columns, nominal
 from estimators.wrench.setup import stated_sizes
-from testbed.actions.lift import Lift
-from testbed.errors import InvalidValueError
+from testbed import GRAVITY, InvalidValueError, Lift, Phase, Trajectory, load_object, preset
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import SIDEWAYS, compensate, tare_samples, tool_pulls, tool_wrench
 from testbed.sensing.lift_windows import LiftWindow, lift_windows
-from testbed.sensing.presets import preset
 from testbed.sensing.series import interpolated
-from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, PARAMETERS, SetupErrors
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import ask, claimed, holds, nad, shown_in_the_air, trials_of

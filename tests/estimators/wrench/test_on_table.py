@@ -7,27 +7,20 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from estimators.baselines.optimizers import LeastSquares
+from estimators import HiddenStates, LeastSquares, build_method
 from estimators.hidden_states.algorithm import Solution, algorithm_1
-from estimators.hidden_states.estimator import HiddenStates
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected, observed
 from estimators.particles.windows import PLANAR, Observations
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.priors import priors
-from estimators.registry import build_method
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.table import Table
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.model import GRAVITY, ObjectModel
+from testbed import GRAVITY, Accelerate, ObjectModel, Rotate, Slide, Trajectory, preset
 from testbed.sensing.compensation import SIDEWAYS
-from testbed.sensing.presets import preset
-from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import steady_pushes

@@ -13,11 +13,9 @@ from estimators.particles.links import carried_moment
 from estimators.testing.analytic_world import drawn_object, foundation
 from estimators.wrench.model import ParticleModel, acceleration, inertia_of, one_step, rotate
 from estimators.wrench.support import LOADS, GripperLoad, Springs, nulled_load
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY, ObjectModel
+from testbed import GRAVITY, ObjectModel, Support, load_object
 from testbed.simulation.contacts import foot_stiffness, resting_loads
 from testbed.simulation.settings import ContactSettings
-from testbed.trial import Support
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.helpers.blocks import blocks
 from tests.helpers.lcp_oracle import explicit_rollout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from testbed import MassDistribution, ObjectModel, ObjectShape, Trajectory
 from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 
 
-def trials_of(obj: ObjectModel, **world: object) -> list[Trajectory]:
+def trials_of(obj: ObjectModel, **world: Any) -> list[Trajectory]:
     """A turn there and back and an accelerated turn about every grasp."""
     return turns(obj, **world) + accelerated(obj, **world)
 

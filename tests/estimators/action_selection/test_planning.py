@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -237,12 +238,12 @@ def test_what_has_no_grasps_is_pushed_and_a_plan_ends_where_nothing_teaches_more
 
 @pytest.mark.parametrize("kind", ["random", "greedy", "batch"])
 def test_a_policy_goes_through_its_plan_and_around_what_failed(kind):
-    policy, done = PlannedPolicy(guess("F2"), kind, goal=Goal(most=3), candidates=300), []
-    plan = policy.plan(F2)
+    policy = PlannedPolicy(guess("F2"), kind, goal=Goal(most=3), candidates=300)
+    plan, done = policy.plan(F2), cast("list[Any]", [])
     while (action := policy.next(F2, done)) is not None:
         done.append(SimpleNamespace(action=action, ok=True))
     assert tuple(d.action for d in done) == plan.actions
-    done = [SimpleNamespace(action=plan.actions[0], ok=False)]
+    done[:] = [SimpleNamespace(action=plan.actions[0], ok=False)]
     assert policy.next(F2, done) not in (None, plan.actions[0])
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -353,7 +354,7 @@ def test_the_heatmap_shows_every_group_of_every_object_and_method():
 
 def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_and_far_off():
     true = [0.1, 0.2, 0.3]
-    answers = (
+    answers: tuple[dict[str, Any], ...] = (
         {"mass_kg": [0.1, 0.2, 0.34], "mass_error_kg": [0.01] * 3, "misfit": 0.5},
         {"mass_kg": [0.11, 0.2, 0.3], "mass_error_kg": [0.01] * 3},
         {"mass_kg": [0.1, 0.2, 0.9], "mass_error_kg": [0.1] * 3, "status": "unexplained", "misfit": 4.5},

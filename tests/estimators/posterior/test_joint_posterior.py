@@ -27,6 +27,7 @@ from estimators.testing.analytic_lab import drawn
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
+from estimators.wrench.support import SupportModel
 from testbed import Lift, Push, Rotate, Slide, faces, world
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.analytic_links import analytic_links, drawn_chain
@@ -87,7 +88,7 @@ def problem(kind, setup=EXACT_SETUP, errors=SHARP, *, loaded=True):
     return model, measurements, priors(model.shape, setup, errors, weight, on_table.trials)
 
 
-def joint(model, trials, support="own_weight"):
+def joint(model, trials, support: SupportModel = "own_weight"):
     """Posterior of trials, some of them usable."""
     made = posterior_of(model.shape, model.total_mass, trials, support)
     assert made is not None

@@ -146,7 +146,7 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
         pytest.param(KINDS["turns"], id="turns"),
         pytest.param(lambda: [*turns(OBJECT, [0, 1]), *KINDS["slides"]()], id="slides"),
         pytest.param(lambda: trials_of(OBJECT), id="accelerated"),
-        pytest.param(lambda: steady_pushes(OBJECT, [*CENTERS, *-CENTERS]), id="pushes"),
+        pytest.param(lambda: steady_pushes(OBJECT, np.vstack([CENTERS, -CENTERS])), id="pushes"),
     ],
 )
 def test_masses_come_back_from_predicted_wrenches(trials):

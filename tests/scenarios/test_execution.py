@@ -69,17 +69,11 @@ def test_whatever_a_task_does_comes_back_as_a_value():
 @pytest.mark.slow
 def test_a_task_is_begun_again_up_to_a_number_of_times(tmp_path):
     with open_executor("local", 1, Limits(tries=2)) as executor:
-        values = all_of(executor, {1: (crash_once, str(tmp_path / "marker")), 2: (misbehave, "crash")})
-    assert values[1] == "well"
-    assert values[2].reason == "its worker process was killed by SIGSEGV (tried 2 times)"
-
-
-@pytest.mark.slow
-def test_a_task_that_ends_its_process_without_an_error_is_noticed():
-    with open_executor("local", 1, Limits(tries=1)) as executor:
-        values = all_of(executor, {1: (misbehave, "leave"), 2: (misbehave, "well")})
-    assert values[1].reason == "its worker process exited with code 0 (tried once)"
-    assert values[2] == "well"
+        ways = {way: (misbehave, way) for way in ("crash", "leave", "well")}
+        values = all_of(executor, {"crash once": (crash_once, str(tmp_path / "marker"))} | ways)
+    assert values["crash once"] == values["well"] == "well"
+    assert values["crash"].reason == "its worker process was killed by SIGSEGV (tried 2 times)"
+    assert values["leave"].reason == "its worker process exited with code 0 (tried 2 times)"
 
 
 def listening() -> set[str]:
@@ -111,25 +105,19 @@ def test_a_cluster_is_joined_only_where_the_environment_names_it(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_lost_cluster_is_no_failure_of_its_tasks():
+def test_whatever_a_task_does_on_ray_comes_back_as_a_value_and_a_lost_cluster_is_no_failure_of_its_tasks():
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
-    with open_executor("ray", 1, Limits(tries=3)) as executor:
+    before = listening()
+    with open_executor("ray", 2, Limits(timeout_s=8.0, tries=3, memory_gib=1.5)) as executor:
+        values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
+        new = listening() - before
+        assert new and all(re.search("0100007F:|0{24}01000000:", address) for address in new), "on this machine alone"
         executor.start("first", time.sleep, 0.1)
         assert executor.wait() == ("first", None)
         executor.start("second", time.sleep, 60.0)
         importlib.import_module("ray._private.worker").global_worker.node.kill_raylet()
         with pytest.raises(HeftError, match=r"the Ray cluster is gone .*the same command goes on from there"):
             executor.wait()
-
-
-@pytest.mark.slow
-def test_whatever_a_task_does_on_ray_comes_back_as_a_value():
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
-    before = listening()
-    with open_executor("ray", 2, Limits(timeout_s=8.0, tries=1, memory_gib=1.5)) as executor:
-        values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
-        new = listening() - before
-        assert new and all(re.search("0100007F:|0{24}01000000:", address) for address in new), "on this machine alone"
     assert values["well"] == "well"
     assert values["raise"].reason == "RuntimeError: out of ideas"
     assert values["exit"].reason == "SystemExit: 3"

@@ -1,5 +1,7 @@
 """Commands of heft, called in this process."""
 
+import pytest
+
 from scenarios.cli.main import main
 
 
@@ -10,3 +12,12 @@ def ended(*words: str) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What a refused command says, in one line; its exit code is 2."""
+    capsys.readouterr()
+    assert ended(*words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("heft: ") and said.count("\n") == 1, said
+    return said

@@ -69,6 +69,7 @@ def test_all_is_read_as_it_was(folder: Path):
     was = json.loads((folder / "read.json").read_text(encoding="utf-8"))
     assert tuple(len(was[part]) for part in ("trials", "estimates", "draws")) == HELD[folder.name]
     assert not differences(was, plain(content(folder)))
+    verify(folder / "run" / "recording.rrd")
     assert files_of(folder) == before
 
 
@@ -96,7 +97,3 @@ def test_commands_read_it(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
         main(words)
         assert capsys.readouterr().out, words
     verify(Path("run/recording.rrd"))
-
-
-def test_its_recording_opens(folder: Path):
-    verify(folder / "run" / "recording.rrd")

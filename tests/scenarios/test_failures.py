@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,9 @@ from scenarios.cli.main import main
 from scenarios.results.estimates import load_results
 from scenarios.study import run as study
 from testbed.errors import HeftError, InvalidValueError
-from testbed.plugins import find_code_here, load_class, placed_errors
+from testbed.plugins import load_class, placed_errors
 from testbed.trial import parse_support
+from tests.helpers.commands import ended, refusal
 
 METHODS = """
 import numpy as np
@@ -46,6 +46,14 @@ class Markup:
 class Bare:
     def estimate(self, shape, weight, trajectories, seed):
         return Estimate(np.ones(shape.n_m), "ok")
+
+class NotANumber:
+    def estimate(self, shape, weight, trajectories, seed):
+        return Estimate(MassDistribution(np.full(shape.n_m, np.nan), [0.5]), "ok")
+
+class Exit:
+    def estimate(self, shape, weight, trajectories, seed):
+        raise SystemExit(3)
 """
 BATCHES = """
 from estimators import Estimate
@@ -69,6 +77,8 @@ REASONS = {
     "Status": r"Estimate.status: got 'great'; allowed: one of ok, .* \(failing.py, line 16\)",
     "Short": r"failing:Short.estimate\(\): got '1 masses, 1 frictions'; allowed: 2 and 1, one of each mass group",
     "Bare": r"Estimate.distribution: got array.*; allowed: a MassDistribution, or None \(failing.py, line 28\)",
+    "NotANumber": r"MassDistribution.mass: got '2 NaN.* \(failing.py, line 32\)",
+    "Exit": r"SystemExit: 3 \(failing.py, line 36\)",
     "Markup": r"ValueError: \[/oops\] pip install 'x\[sysid\]' \(failing.py, line 24\)",
 }
 
@@ -78,23 +88,17 @@ CLI = TERMINAL.parent
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch, finished) -> Path:
+def here(tmp_path, as_user, finished) -> Path:
     """A user's folder with methods that fail, and `out` with the trials of a run and nothing else."""
-    (tmp_path / "failing.py").write_text(METHODS, encoding="utf-8")
     for part in ("trials", "notes"):
         shutil.copytree(finished.out / part, tmp_path / "out" / part)
-    monkeypatch.delitem(sys.modules, "failing", raising=False)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.path", [*sys.path])
-    find_code_here()
-    return tmp_path
+    return as_user(failing=METHODS)
 
 
 @pytest.mark.slow
 def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(here, finished, capsys):
     names = [f"failing:{name}" for name in REASONS]
-    with pytest.raises(SystemExit, match="1"):
-        main(["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names])
+    assert ended("run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names) == 1
     said = capsys.readouterr().out
     assert "Normalized absolute difference" in said and (here / "out" / "report.html").is_file()
     for name, reason in REASONS.items():
@@ -114,8 +118,7 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
 def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
     (here / "failing.py").write_text(BATCHES.replace("{way}", way), encoding="utf-8")
     names = ["failing:Together", "failing:Apart"]
-    with pytest.raises(SystemExit, match="1"):
-        main(["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names])
+    assert ended("run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names) == 1
     together, apart = (load_results(here / "out").query(f"method == '{name}'") for name in names)
     assert list(together["status"]) == ["failed" if seed == 1 else "no_data" for seed in together["seed"]]
     assert list(together["message"]) == list(apart["message"])
@@ -127,14 +130,12 @@ def test_a_batch_goes_on_with_the_draws_that_are_left(here, finished):
     answers = "return [Estimate(None, 'no_data', f'{len(draws)} at once') for _ in draws]"
     (here / "failing.py").write_text(BATCHES.replace("{way}", answers), encoding="utf-8")
     command = ["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", "failing:Together"]
-    with pytest.raises(SystemExit, match="1"):
-        main(command)
+    assert ended(*command) == 1
     rows = load_results(here / "out")
     assert list(rows["message"]) == ["3 at once"] * 3
     shutil.rmtree(here / "out" / "estimates" / rows["key"][0])
     shutil.rmtree(here / "out" / "estimates" / rows["key"][2])
-    with pytest.raises(SystemExit, match="1"):
-        main(command)
+    assert ended(*command) == 1
     assert list(load_results(here / "out")["message"]) == ["2 at once", "3 at once", "2 at once"]
 
 
@@ -143,9 +144,8 @@ def test_a_missing_extra_is_said_before_any_trial(tmp_path, monkeypatch, capsys,
     monkeypatch.delattr(sysid, "SystemTrajectory", raising=False)
     monkeypatch.setattr(study, "experiments_of", pytest.fail)
     words = {"run": ["blocks", "--out", str(tmp_path / "out")], "estimate": [str(tmp_path)]}[command]
-    with pytest.raises(SystemExit, match="2"):
-        main([command, *words, "--methods", "mujoco_sysid"])
-    assert "pip install 'heft-testbed[sysid]'" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert "pip install 'heft-testbed[sysid]'" in refusal(capsys, command, *words, "--methods", "mujoco_sysid")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -169,8 +169,7 @@ def test_a_texts_brackets_are_printed_as_they_stand(here, finished, capsys):
         finished.scenario.read_text("utf-8") + '[methods."[red]"]\nmethod = "failing:Markup"\n', "utf-8"
     )
     shutil.copytree(here / "out", out)
-    with pytest.raises(SystemExit, match="1"):
-        main(["run", str(scenario), "--out", str(out), "--workers", "0", "--methods", "[red]"])
+    assert ended("run", str(scenario), "--out", str(out), "--workers", "0", "--methods", "[red]") == 1
     said = capsys.readouterr().out
     assert " [red] " in said and f"[red]: 3 failed (pair; own weight, ideal; own weight, ft300s): {FAILED}" in said
     for words in (["status"], ["run", str(scenario), "--dry-run", "--out"]):

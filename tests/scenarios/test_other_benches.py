@@ -3,9 +3,7 @@
 import json
 import re
 import sys
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
-from shutil import copy
 from typing import Any
 
 import pytest
@@ -16,13 +14,12 @@ from scenarios.results.estimates import load_results
 from scenarios.runners import feasible_grasps
 from scenarios.study.dry_run import check_code
 from scenarios.study.run import run_scenario
-from testbed import plugins
 from testbed.actions.slide import Slide
 from testbed.errors import HeftError, InfeasibleTrialError
 from testbed.objects.files import load_object
-from testbed.plugins import RUNNER, find_code_here
 from testbed.trial import Trial, TrialRunner
 from tests.helpers.pages import BLOCKS, EXAMPLES
+from tests.helpers.runs import quiet
 
 MORE = '''
 from dataclasses import replace
@@ -69,24 +66,16 @@ SHORT = {"pivots": 3, "duration": 2.0, "accelerated": 2, "held_out": 1}
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
-    """A folder with the documentation's own code, as the current one; all of it is forgotten again."""
+def here(as_user) -> Path:
+    """A user's folder with the documentation's own code."""
     (estimator,) = (block.text for block in BLOCKS if block.title == "my_estimator.py")
-    (tmp_path / "my_estimator.py").write_text(estimator, encoding="utf-8")
-    for name in ("own_policy.py", "own_simulator.py"):
-        copy(EXAMPLES / name, tmp_path)
-    (tmp_path / "more.py").write_text(MORE, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
-    find_code_here()
-    for name in ("more", "own_simulator", "my_estimator", "own_policy"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    return tmp_path
+    examples = {name: (EXAMPLES / f"{name}.py").read_text("utf-8") for name in ("own_policy", "own_simulator")}
+    return as_user(my_estimator=estimator, more=MORE, **examples)
 
 
 def ran(folder: Path, out: str, runner: str, **fields: Any) -> list[dict[str, Any]]:
     asked = {"objects": ["L2"], "simulation": {"runner": runner}, "policy": SHORT} | fields
-    run_scenario(Scenario.model_validate(asked), folder / out, 0, lambda *_, **__: None)
+    run_scenario(Scenario.model_validate(asked), folder / out, 0, quiet)
     return load_results(folder / out).to_dict("records")  # pyright: ignore[reportReturnType]
 
 
@@ -176,9 +165,8 @@ def test_what_is_wrong_is_said_before_anything_runs(simulation, message, tmp_pat
 
 
 @pytest.mark.usefixtures("here")
-def test_an_entry_point_is_a_runner_by_name(monkeypatch):
-    points = EntryPoints([EntryPoint("drag", "own_simulator:DragSimulator", RUNNER.group)])
-    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+def test_an_entry_point_is_a_runner_by_name(install):
+    install(runners="drag = own_simulator:DragSimulator")
     bench: Any = Simulation(runner="drag", settings={"tare": 3.0}).build()
     assert isinstance(bench.open(), TrialRunner)
     assert bench.open().tare == 3.0
@@ -197,7 +185,7 @@ def test_workers_find_the_runner_the_policy_and_the_estimator_in_the_current_fol
         "policy": SHORT | {"kind": "own_policy:FarthestFirst", "settings": {"turns": 4, "duration": 2.0}},
         "methods": {"mine": {"method": "my_estimator:LeastSquares"}},
     }
-    run_scenario(Scenario.model_validate(asked), here / "out", 1, lambda *_, **__: None, executor)
+    run_scenario(Scenario.model_validate(asked), here / "out", 1, quiet, executor)
     (row,) = load_results(here / "out").to_dict("records")
     assert (row["status"], row["kind"]) == ("ok", "my_estimator:LeastSquares"), row["message"]
     assert row["nad"] < 0.02

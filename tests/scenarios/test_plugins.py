@@ -4,7 +4,6 @@ import os
 import pickle
 import sys
 from collections import Counter
-from importlib.metadata import EntryPoint, EntryPoints
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,19 +15,18 @@ import torch
 from estimators.evaluation.statistics import axis_columns
 from estimators.registry import ESTIMATOR, METHODS, POLICY, build_method
 from estimators.testing.recorded import load_block
-from scenarios.cli.main import main
 from scenarios.config import Policy, Scenario, load_scenario
 from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.study.dry_run import check_code
 from scenarios.study.estimates import judged_answers
-from testbed import plugins
 from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
-from testbed.plugins import configured, find_class, find_code_here, load_class, source_hash
+from testbed.plugins import configured, find_class, load_class, source_hash
 from testbed.simulation.settings import SimulationSettings
+from tests.helpers.commands import ended
 
 MODULE = '''
 from dataclasses import dataclass
@@ -106,15 +104,8 @@ print("of the user, as it is imported")
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
-    """Current folder of a user, with modules of theirs, and code found there; they are unloaded again."""
-    for name, text in (("of_user", MODULE), ("half_done", "import no_such_thing\n"), ("wrong_words", "def f(:\n")):
-        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(tmp_path))])
-    find_code_here()
-    return tmp_path
+def here(as_user) -> Path:
+    return as_user(of_user=MODULE, half_done="import no_such_thing\n", wrong_words="def f(:\n")
 
 
 def built(kind: str, grasps: tuple[int, ...] = (1, 3), **fields: object) -> tuple[Any, ObjectShape]:
@@ -218,10 +209,8 @@ def test_what_is_no_action_of_the_scenario_is_refused(how, reason):
 
 
 @pytest.mark.usefixtures("here")
-def test_an_entry_point_is_a_method_or_a_policy_by_name(monkeypatch):
-    classes = (("even", "of_user:Even", ESTIMATOR), ("outermost", "of_user:Outermost", POLICY))
-    points = EntryPoints([EntryPoint(name, path, role.group) for name, path, role in classes])
-    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+def test_an_entry_point_is_a_method_or_a_policy_by_name(install):
+    install(estimators="even = of_user:Even", policies="outermost = of_user:Outermost")
     assert type(build_method("even", {"friction": 0.2})).__name__ == "Even"
     assert Scenario(objects=["I1"]).changed(methods=("even",)).methods == {"even": {}}
     policy, shape = built("outermost", settings={"turns": 1})
@@ -278,8 +267,8 @@ def test_worker_processes_run_policies_and_methods_of_the_current_folder(here, c
         f'[sweep.axes]\n"policy.kind" = {kinds}\n[methods.mine]\nmethod = "of_user:Even"\n',
         encoding="utf-8",
     )
-    with pytest.raises(SystemExit, match="1"):  # one policy fails
-        main(["run", "s.toml", "--out", "out", "--workers", "1", "--methods", "mine", "of_user:Even"])
+    command = ("run", "s.toml", "--out", "out", "--workers", "1", "--methods", "mine", "of_user:Even")
+    assert ended(*command) == 1  # one policy fails
     rows = load_results(here / "out").to_dict("records")
     run = {(row["axis.policy.kind"], row["method"]) for row in rows}
     assert run == set(product(kinds, ("mine", "of_user:Even"))) and len(rows) == len(run)

@@ -25,6 +25,8 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.trajectory import Trajectory
+from tests.helpers.commands import ended, refusal
+from tests.helpers.runs import quiet
 from viz.report.tables import NAD, quantile_table
 from viz.report.terminal import rich_table
 
@@ -54,7 +56,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished folder: two drawn objects, one method with two settings, on the same trials."""
     folder = tmp_path_factory.mktemp("swept")
     (folder / "small.toml").write_text(SMALL)
-    run_scenario(load_scenario(str(folder / "small.toml"))[1], folder / "out", 0, lambda *_, **__: None)
+    run_scenario(load_scenario(str(folder / "small.toml"))[1], folder / "out", 0, quiet)
     return folder / "out"
 
 
@@ -97,16 +99,24 @@ def said(show: object, *arguments: object) -> str:
     return captured.get()
 
 
-def test_status_counts_what_is_there(copied, capsys, monkeypatch):
+def test_status_counts_what_is_there_what_failed_and_what_is_no_data(copied, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    main(["status", str(copied)])
-    text = capsys.readouterr().out
+    trials, estimates = (sorted(copied.glob(name)) for name in ("trials/*/trial.json", "estimates/*/result.json"))
+
+    def shown() -> str:
+        main(["status", str(copied)])
+        return capsys.readouterr().out
+
+    text = shown()
     assert f"{copied}: finished" in text
     assert "trials: 4 done, 0 failed" in text
     assert re.search(r"estimates: 9 done( \([^)]*\))?, 0 failed", text)
+    write_json(trials[0], (read_json(trials[0]) or {}) | {"status": "slipped"})
+    for path in estimates:
+        write_json(path, (read_json(path) or {}) | {"status": "no_data" if path == estimates[0] else "ok"})
+    assert "trials: 4 done (1 slipped), 0 failed; estimates: 9 done (1 no data), 0 failed" in " ".join(shown().split())
     Store(copied).put_error("estimates", "0" * 20, "Traceback\nValueError: it broke\n")
-    main(["status", str(copied)])
-    again = capsys.readouterr().out
+    again = shown()
     assert "1 failed" in again
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
@@ -115,17 +125,6 @@ def test_status_counts_what_is_there(copied, capsys, monkeypatch):
 
 def weighed(obj: ObjectModel) -> Trajectory:
     return Trajectory.of_scale(np.full(50, GRAVITY * obj.total_mass), np.arange(50) / 100, {})
-
-
-def test_status_counts_what_is_no_data_or_not_ok(copied, capsys):
-    trials, estimates = (sorted(copied.glob(name)) for name in ("trials/*/trial.json", "estimates/*/result.json"))
-    write_json(trials[0], (read_json(trials[0]) or {}) | {"status": "slipped"})
-    for path in estimates:
-        write_json(path, (read_json(path) or {}) | {"status": "ok"})
-    write_json(estimates[0], (read_json(estimates[0]) or {}) | {"status": "no_data"})
-    main(["status", str(copied)])
-    said = capsys.readouterr().out
-    assert "trials: 4 done (1 slipped), 0 failed; estimates: 9 done (1 no data), " in said
 
 
 def test_an_answer_without_data_counts_the_trials_that_are_none():
@@ -177,10 +176,7 @@ def test_a_file_of_another_format_is_one_clear_line(finished, copied, capsys, mo
         path.write_text(harm, encoding="utf-8")
     monkeypatch.setattr("viz.recordings.viewer.served", pytest.fail)
     for command, *options in commands:
-        with pytest.raises(SystemExit) as end:
-            main([command, str(copied), key, *options])
-        said = capsys.readouterr().err
-        assert end.value.code == 2 and said.startswith("heft: ") and said.count("\n") == 1, (command, said)
+        said = refusal(capsys, command, str(copied), key, *options)
         assert key in said or "results.parquet" in said
 
 
@@ -223,10 +219,8 @@ def test_a_damaged_table_is_one_clear_line(finished, copied, capsys, monkeypatch
     table, (name, *options) = copied / "results.parquet", command.split()
     harm(table, load_results(copied))
     key = [finished.rows["key"][0]] if name == "export" else []
-    with pytest.raises(SystemExit, match="2"):
-        main([name, str(copied), *key, *options])
-    line = capsys.readouterr().err
-    assert line.startswith(f"heft: {copied}") and said in line and line.count("\n") == 1
+    line = refusal(capsys, name, str(copied), *key, *options)
+    assert line.startswith(f"heft: {copied}") and said in line
 
 
 @pytest.mark.parametrize(("option", "field"), [("--figures", "ESTIMATE"), ("--record", "WHAT"), ("--film", "TRIAL")])
@@ -236,9 +230,8 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
             path.rename(path.with_name("0" + path.name[1:]))
     rows = load_results(copied)
     write_rows(copied, [row | {"key": "0" + row["key"][1:]} for row in rows_of(rows)])
-    with pytest.raises(SystemExit, match="2"):
-        main(["view", str(copied), "0", option])
-    assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", capsys.readouterr().err)
+    said = refusal(capsys, "view", str(copied), "0", option)
+    assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", said)
 
 
 @pytest.mark.slow
@@ -259,9 +252,7 @@ def test_a_dry_run_counts_and_writes_nothing(tmp_path):
     assert "4 experiments" in text
     assert f"{4 * (1 + 6 + 6 + 2)} trials" in text
     assert f"{4 * (1 + 3)} estimates" in text
-    with pytest.raises(SystemExit) as exit_:
-        main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out"), "--methods", "hidden"])
-    assert exit_.value.code == 2
+    assert ended("run", "blocks", "--dry-run", "--out", str(tmp_path / "out"), "--methods", "hidden") == 2
     with pytest.raises(InvalidValueError, match="object: got 'Q9'"):
         said(show_dry_run, scenario.model_copy(update={"objects": ["I1", "Q9"]}), tmp_path / "out", 2)
     main(["run", "blocks", "--dry-run", "--out", str(tmp_path / "out")])
@@ -299,12 +290,10 @@ def test_many_objects_are_told_by_quantiles():
 @pytest.mark.parametrize("words", ["view DIR", "view DIR --film", "export DIR 3f9a", "doctor DIR"])
 def test_a_missing_folder_is_named(tmp_path, capsys, words):
     missing = tmp_path / "nothing"
-    with pytest.raises(SystemExit, match="2"):
-        main([str(missing) if word == "DIR" else word for word in words.split()])
-    assert capsys.readouterr().err == f"heft: DIR: got '{missing}'; allowed: a results folder; `heft run` makes one\n"
+    said = refusal(capsys, *(str(missing) if word == "DIR" else word for word in words.split()))
+    assert said == f"heft: DIR: got '{missing}'; allowed: a results folder; `heft run` makes one\n"
 
 
 def test_options_of_a_film_are_only_for_films(copied, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["view", str(copied), "--speed", "2"])
-    assert capsys.readouterr().err == "heft: --speed: got 2.0; allowed: only with --film\n"
+    said = refusal(capsys, "view", str(copied), "--speed", "2")
+    assert said == "heft: --speed: got 2.0; allowed: only with --film\n"

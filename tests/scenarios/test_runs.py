@@ -15,8 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from estimators.registry import METHODS
-from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json, write_json
@@ -28,7 +26,7 @@ from scenarios.study.experiment import experiments_of
 from scenarios.study.run import check_nothing_lost, manifest, run_scenario
 from scenarios.views import finished as views
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from tests.fakes.misbehaving import Misbehaving
+from tests.helpers.commands import refusal
 from tests.helpers.runs import VICTIMS, assert_whole, done_in, draw_killing, kill_a_run, quiet, resumed, small_scenario
 
 FAULTY = """
@@ -46,14 +44,6 @@ if __name__ == "__main__":
     sweep.open_executor = functools.partial(open_executor, limits=Limits(timeout_s=8.0, tries=1, memory_gib=1.0))
     main(sys.argv[1:])
 """
-
-
-@pytest.fixture(scope="module")
-def longer(tmp_path_factory) -> tuple[Path, pd.DataFrame, Path]:
-    """A scenario of two supports, its results and its folder."""
-    folder = tmp_path_factory.mktemp("longer")
-    path = small_scenario(folder)
-    return path, resumed(path, folder / "out"), folder / "out"
 
 
 def test_a_run_answers_by_every_label(finished):
@@ -77,16 +67,10 @@ def test_a_run_answers_by_every_label(finished):
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", VICTIMS)
 def test_a_killed_run_goes_on(longer, tmp_path, victim):
-    scenario, frame, out = longer
-    killing = draw_killing(np.random.default_rng(VICTIMS.index(victim)), victim, done_in(out))
-    kill_a_run(scenario, tmp_path / "out", killing)
-    pd.testing.assert_frame_equal(resumed(scenario, tmp_path / "out"), frame)
+    killing = draw_killing(np.random.default_rng(VICTIMS.index(victim)), victim, done_in(longer.out))
+    kill_a_run(longer.scenario, tmp_path / "out", killing)
+    pd.testing.assert_frame_equal(resumed(longer.scenario, tmp_path / "out"), longer.rows)
     assert not list((tmp_path / "out").rglob("*.part"))
-
-
-@pytest.mark.slow
-def test_workers_change_nothing(longer, tmp_path):
-    pd.testing.assert_frame_equal(resumed(longer[0], tmp_path / "out", 3), longer[1])
 
 
 @pytest.mark.slow
@@ -184,16 +168,6 @@ def test_results_of_an_object_whose_file_has_changed_are_not_written_over(finish
 
 
 @pytest.mark.slow
-def test_records_cut_short_are_made_again(finished, copied):
-    records = sorted(copied.glob("trials/*/trajectory.parquet"))
-    for record in records:
-        record.write_bytes(record.read_bytes()[:5000])
-    (estimate := next(copied.glob("estimates/*/result.json"))).unlink()
-    pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
-    assert estimate.is_file() and all(len(record.read_bytes()) > 5000 for record in records)
-
-
-@pytest.mark.slow
 def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished, copied):
     trials, estimates = sorted(copied.glob("trials/*")), sorted(copied.glob("estimates/*"))
     record = trials[0] / "trajectory.parquet"
@@ -214,11 +188,8 @@ def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished
 
 
 def test_a_second_run_on_the_same_folder_is_refused_in_one_line(finished, tmp_path, capsys):
-    with exclusive(tmp_path), pytest.raises(SystemExit) as exit_:
-        main(["run", str(finished.scenario), "--out", str(tmp_path), "--workers", "0"])
-    assert exit_.value.code == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
+    with exclusive(tmp_path):
+        said = refusal(capsys, "run", str(finished.scenario), "--out", str(tmp_path), "--workers", "0")
     assert f"another run (process {os.getpid()} on " in said
 
 
@@ -252,12 +223,8 @@ def test_a_disk_that_takes_nothing_more_is_one_line_and_no_half_file(finished, t
     try:
         if kind == "read-only":
             subprocess.run(["mount", "-o", "remount,ro", out], check=True)
-        with pytest.raises(SystemExit) as exit_:
-            main(["run", str(finished.scenario), "--out", str(out), "--workers", "0"])
-        said = capfd.readouterr().err
-        assert exit_.value.code == 2
+        said = refusal(capfd, "run", str(finished.scenario), "--out", str(out), "--workers", "0")
         assert re.search(rf"heft: .*{message}.*: {out}", said)
-        assert said.count("\n") == 1
         assert_whole(out)
         assert not list(out.rglob("*.part"))
     finally:
@@ -284,24 +251,6 @@ def test_a_disk_that_fills_up_is_an_error_and_no_half_file(finished, tmp_path, m
     assert begun["expected"]["estimates"] == len(finished.rows)
     assert (read_json(finished.out / "manifest.json") or {})["finished"]
     assert not list((tmp_path / "out").rglob("*.part"))
-
-
-@pytest.mark.slow
-def test_a_method_that_raises_or_answers_nan_is_a_row_with_its_reason(tmp_path, monkeypatch):
-    monkeypatch.setitem(METHODS, "misbehaving", Misbehaving)
-    ways = ("raise", "nan", "exit")
-    more = "".join(f'[methods.{way}]\nmethod = "misbehaving"\nway = "{way}"\n' for way in ways)
-    path = small_scenario(tmp_path, ("rigid",), more + "[methods.hidden_states]\n")
-    rows = resumed(path, tmp_path / "out").set_index("method")
-    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "unexplained"}
-    assert set(rows.loc[[*ways], "status"]) == {"failed"}
-    assert all(m.startswith("RuntimeError: out of ideas (tests/fakes/misb") for m in rows.loc["raise", "message"])
-    assert all(
-        message.startswith("SystemExit: 3 (tests/fakes/misbehaving.py, line") for message in rows.loc["exit", "message"]
-    )
-    assert all("MassDistribution.mass: got '2 NaN" in message for message in rows.loc["nan", "message"])
-    for key in rows.loc[[*ways], "key"]:
-        assert "Traceback" in (tmp_path / "out" / "estimates" / key / "error.txt").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -363,9 +312,9 @@ def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(lon
                 killed.append(done)
                 cluster.remove_node(node, allow_graceful=False)
 
-        frame = run_scenario(load_scenario(str(longer[0]))[1], out, 2, progress, "ray").drop(columns="seconds")
+        frame = run_scenario(load_scenario(str(longer.scenario))[1], out, 2, progress, "ray").drop(columns="seconds")
         assert killed
-        pd.testing.assert_frame_equal(frame, longer[1])
+        pd.testing.assert_frame_equal(frame, longer.rows)
         assert_whole(out)
     finally:
         ray.shutdown()
@@ -378,9 +327,7 @@ def test_one_machine_of_a_ray_cluster_is_killed_and_the_results_are_the_same(lon
 )
 def test_a_wrong_argument_is_one_line(finished, monkeypatch, capsys, words, message):
     monkeypatch.chdir(finished.scenario.parent)
-    with pytest.raises(SystemExit) as end:
-        main(["run", *words])
-    assert end.value.code == 2 and message in capsys.readouterr().err
+    assert message in refusal(capsys, "run", *words)
 
 
 @pytest.mark.parametrize(

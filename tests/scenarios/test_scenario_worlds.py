@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
 from scenarios.config import Scenario, WorldTable, load_scenario
 from scenarios.policies import Policy
@@ -76,21 +75,6 @@ def test_a_quantity_is_changed_by_its_name_and_swept():
     built = [point.world.build() for _, point in swept.points()]
     assert [each.group_friction for each in built] == [0.0, 0.05] * 2
     assert built[0].none and not built[1].none
-
-
-@pytest.mark.parametrize("wrong", [{"preset": "labb"}, {"gian": 0.1}, {"gain": -1.0}, {"gain": "much"}, {"name": "x"}])
-def test_a_wrong_world_is_refused(wrong: dict[str, object]):
-    with pytest.raises((ValidationError, InvalidValueError)):
-        short(**wrong)
-
-
-def test_another_runner_has_a_world_of_its_own():
-    with pytest.raises((ValidationError, InvalidValueError), match="another runner"):
-        Scenario(
-            objects=["I2"],
-            simulation={"runner": "testbed.simulation.runner:SimulationRunner"},  # pyright: ignore[reportArgumentType]
-            world=WorldTable(preset="lab"),
-        )
 
 
 def test_a_command_line_names_the_world():

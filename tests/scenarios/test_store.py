@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import shutil
 import subprocess
 import time
 from collections.abc import Callable
@@ -37,6 +38,7 @@ from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trajectory import save_trajectory
 from testbed.trial import RIGID, Trial
 from tests.helpers.changes import resealed
+from tests.helpers.commands import refusal
 from tests.helpers.recorded import put_trial
 from tests.helpers.records import record
 from tests.helpers.runs import resumed
@@ -49,10 +51,7 @@ L2, HAMMER = load_object("L2"), load_object("hammer")
 def test_solids_and_gripped_faces_are_in_the_key():
     first, grasp = HAMMER.solids[0], HAMMER.shape.grasps[0]
     stretched = dataclasses.replace(first, vertices=first.vertices * [1.0, 1.0, 1.1])
-    others = [
-        dataclasses.replace(HAMMER, solids=()),
-        dataclasses.replace(HAMMER, solids=(stretched, *HAMMER.solids[1:])),
-    ]
+    others = [dataclasses.replace(HAMMER, solids=each) for each in ((), (stretched, *HAMMER.solids[1:]))]
     for faces in ({"bottom": 0.001}, {"top": 0.03}, {"top": None}):
         grasps = (dataclasses.replace(grasp, **faces), *HAMMER.shape.grasps[1:])
         others.append(dataclasses.replace(HAMMER, shape=dataclasses.replace(HAMMER.shape, grasps=grasps)))
@@ -229,9 +228,8 @@ def test_a_damaged_trial_is_an_error_and_stays(root, tmp_path, harm):
         (copy / "trial.json").write_text(harm)
     else:
         write_json(copy / "trial.json", harm)
-    with pytest.raises(
-        DamagedFileError, match=f"{'trajectory.parquet' if harm is None else 'trial.json'}: not a whole"
-    ):
+    file = "trajectory.parquet" if harm is None else "trial.json"
+    with pytest.raises(DamagedFileError, match=f"{file}: not a whole"):
         read_trial(tmp_path, copy.name)
     assert (copy / "trial.json").is_file()
 
@@ -239,10 +237,7 @@ def test_a_damaged_trial_is_an_error_and_stays(root, tmp_path, harm):
 def copied(root, tmp_path, name):
     """A trial's folder, copied, and the content of its trial.json."""
     source = root[0] / "trials" / root[1][name]
-    folder = tmp_path / "trials" / source.name
-    folder.mkdir(parents=True)
-    for file in source.iterdir():
-        (folder / file.name).write_bytes(file.read_bytes())
+    folder = shutil.copytree(source, tmp_path / "trials" / source.name)
     return folder, json.loads((folder / "trial.json").read_text())
 
 
@@ -343,10 +338,8 @@ def test_what_shows_a_folder_names_what_is_damaged(finished, copied, capsys):
             main([command, str(copied), *options])
         assert {str(warning.message).partition(": ")[0] for warning in told} == {str(path) for path in files}
     for command in (["export", row["key"]], ["view", trial.name, "--film"]):
-        with pytest.raises(SystemExit, match="2"):
-            main([command[0], str(copied), *command[1:]])
-        said = capsys.readouterr().err
-        assert said.startswith(f"heft: {copied}") and ": not a whole" in said and said.count("\n") == 1
+        said = refusal(capsys, command[0], str(copied), *command[1:])
+        assert said.startswith(f"heft: {copied}") and ": not a whole" in said
 
 
 def test_content_of_another_kind_is_read_or_refused(finished, copied):
@@ -419,9 +412,8 @@ def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeyp
 
     for name in ("figures", "record_results", "record_worst", "report"):
         monkeypatch.setattr(finished_views, name, full if name == stage else lambda *_: copied / "x.pdf")
-    with pytest.raises(SystemExit, match="2"):
-        main(["run", str(finished.scenario), "--out", str(copied), "--workers", "0"])
-    assert capsys.readouterr().err == f"heft: No space left on device: {copied / stage}\n"
+    said = refusal(capsys, "run", str(finished.scenario), "--out", str(copied), "--workers", "0")
+    assert said == f"heft: No space left on device: {copied / stage}\n"
 
 
 def test_a_recording_that_does_not_fit_on_the_disk_is_an_error(tmp_path):

@@ -36,7 +36,9 @@ from testbed.errors import InvalidValueError
 from testbed.objects.files import ObjectFile, asset_folder, load_object
 from testbed.objects.model import MassDistribution
 from testbed.trajectory import SERIES
+from tests.helpers.commands import ended
 from tests.helpers.pages import BLOCKS as PAGE_BLOCKS
+from tests.helpers.runs import quiet
 from tests.scenarios.benchmark.conftest import BLOCKS, SECRET
 
 ONE = {"train": 1, "validation": 0, "test": 1}
@@ -52,9 +54,6 @@ def small(monkeypatch):
     )
     monkeypatch.setattr(problem_module, "KINDS", {"turns": turns, "tools": lifted})
     monkeypatch.setattr(problem_module, "WORLDS", ("lab",))
-
-
-def quiet(stage: str, done: int, total: int, failed: int = 0) -> None: ...
 
 
 @pytest.mark.slow
@@ -92,9 +91,7 @@ def test_a_short_or_published_secret_is_refused(tmp_path, secret):
 
 @pytest.mark.parametrize("arguments", [["--objects", "1", "2"], ["--objects", "0"], ["--objects", "-1"]])
 def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
-    with pytest.raises(SystemExit) as ended:
-        main(["benchmark", "make", *arguments, "--out", str(tmp_path / "set")])
-    assert ended.value.code == 2
+    assert ended("benchmark", "make", *arguments, "--out", str(tmp_path / "set")) == 2
 
 
 @pytest.mark.slow
@@ -119,9 +116,8 @@ def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch
 
 def test_a_method_that_fails_has_its_reason_and_an_empty_answer(published, tmp_path, capsys):
     command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Broken", "--workers", "0", "--out"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, str(tmp_path), "--benchmark", str(published.benchmark.folder)])
-    assert ended.value.code == 1 and "no idea" in capsys.readouterr().out
+    assert ended(*command, str(tmp_path), "--benchmark", str(published.benchmark.folder)) == 1
+    assert "no idea" in capsys.readouterr().out
     (answer,) = read_answers(next(tmp_path.glob("validation/*.csv")), published.benchmark.problems).values()
     assert (answer.mass_kg, answer.status) == (None, "failed")
 
@@ -427,9 +423,7 @@ def test_the_command_prints_and_writes_the_same_figures(published, tmp_path, cap
     shown, content = capsys.readouterr().out, json.loads((tmp_path / "s.json").read_text())
     assert "ideal, turns" in shown and "even masses" in shown
     assert content["answers"]["mine"]["all"]["nad"] < 1e-3 < content["answers"]["even masses"]["all"]["nad"]
-    with pytest.raises(SystemExit) as ended:
-        main(["score", str(tmp_path / "none.csv"), "--benchmark", str(published.benchmark.folder)])
-    assert ended.value.code == 2
+    assert ended("score", str(tmp_path / "none.csv"), "--benchmark", str(published.benchmark.folder)) == 2
 
 
 def test_the_example_in_plain_python_writes_answers(published, tmp_path, monkeypatch, capsys):

@@ -3,9 +3,10 @@
 import io
 import os
 import re
+import shutil
 import subprocess
 import sys
-from importlib.metadata import EntryPoint, EntryPoints, version
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -15,16 +16,12 @@ from estimators.registry import METHODS
 from estimators.testing.recorded import load_block
 from scenarios.catalog import LIBRARY, purpose, scenario_names
 from scenarios.cli.main import COMMANDS, main
-from scenarios.config import load_scenario
 from scenarios.results.estimates import load_trajectories
 from scenarios.results.files import exclusive, write_json
-from scenarios.study.run import run_scenario
-from testbed import plugins
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
 from tests.fakes.lab_bench import mapping_of, strung, write_csv, write_toml
-from tests.helpers.commands import ended
-from tests.helpers.runs import quiet, small_scenario
+from tests.helpers.commands import ended, refusal
 from viz.report.tables import Entry, Table
 from viz.report.terminal import rich_table
 
@@ -96,14 +93,8 @@ def test_every_scenario_is_described_to_the_end_of_its_sentence(capsys, monkeypa
         assert LIBRARY.joinpath(f"{name}.toml").read_text(encoding="utf-8").startswith("# ")
 
 
-def test_every_method_is_listed_with_its_settings(capsys, monkeypatch):
-    points = EntryPoints(
-        [
-            EntryPoint("mine", "tests.fakes.misbehaving:Misbehaving", "heft.estimators"),
-            EntryPoint("lost", "no_such_module:Lost", "heft.estimators"),
-        ]
-    )
-    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
+def test_every_method_is_listed_with_its_settings(capsys, monkeypatch, install):
+    install(estimators="mine = tests.fakes.misbehaving:Misbehaving, lost = no_such_module:Lost")
     monkeypatch.setenv("COLUMNS", "400")
     main(["methods"])
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if not line.startswith(" ")}
@@ -169,11 +160,7 @@ def test_an_error_in_a_command_as_it_is_loaded_is_one_line(capsys, monkeypatch, 
         raise error
 
     monkeypatch.setattr("scenarios.cli.main.load", refused)
-    with pytest.raises(SystemExit) as ended:
-        main(["objects"])
-    said = capsys.readouterr().err
-    assert (ended.value.code, said.count("\n")) == (2, 1)
-    assert said.startswith(line)
+    assert refusal(capsys, "objects").startswith(line)
 
 
 @pytest.mark.parametrize("width", [50, 80, 300])
@@ -195,20 +182,9 @@ def test_an_object_in_links_is_shown_with_its_hinges(capsys):
     assert [line[-2] for line in lines] == ["6", "4"] and ["leg_2", "|", "leg_3"] == lines[1][-6:-3]
 
 
-ONE_METHOD = "\n[methods.hidden_states]\n"
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("doctor")
-    file = small_scenario(folder, more=ONE_METHOD)
-    run_scenario(load_scenario(str(file))[1], folder / "out", 0, quiet)
-    return folder / "out"
-
-
 @pytest.mark.slow
-def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
-    main(["doctor", str(results)])
+def test_it_tells_misfit_causes_and_trials_and_draws_them(longer, tmp_path, capsys):
+    main(["doctor", str(results := shutil.copytree(longer.out, tmp_path / "out"))])
     said = " ".join(capsys.readouterr().out.split())
     assert said.count("trials that fit least") == said.count("figure: ") == 4  # two supports under two sensors
     assert "the trials agree within the errors stated" in said
@@ -217,16 +193,13 @@ def test_it_tells_misfit_causes_and_trials_and_draws_them(results, capsys):
 
 
 @pytest.mark.slow
-def test_what_is_not_there_is_named(results, capsys):
+def test_what_is_not_there_is_named(longer, capsys):
     for words, wanted in ((["another"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
-        with pytest.raises(SystemExit):
-            main(["doctor", str(results), *words])
-        assert wanted in capsys.readouterr().err
+        assert wanted in refusal(capsys, "doctor", str(longer.out), *words)
 
 
 def test_doctor_of_a_folder_without_estimates_names_the_folder(tmp_path, capsys):
-    assert ended("doctor", str(tmp_path)) == 2
-    assert "DIR: got " in capsys.readouterr().err
+    assert "DIR: got " in refusal(capsys, "doctor", str(tmp_path))
 
 
 def test_a_recording_is_found_and_imported(
@@ -238,8 +211,7 @@ def test_a_recording_is_found_and_imported(
     recording = strung(trials, 1e-5)
     write_csv(tmp_path / "day.csv", recording)
     write_toml(tmp_path / "lab.toml", mapping_of(recording, action=None, joints=None))
-    assert ended("import", "lab.toml", "day.csv", "--out", "lab") == 2
-    assert "heft import --find" in capsys.readouterr().err
+    assert "heft import --find" in refusal(capsys, "import", "lab.toml", "day.csv", "--out", "lab")
     assert ended("import", "lab.toml", "day.csv", "--find", "--grasps", "A3") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "accelerated turn left 8 steps 140 deg (0, 0) A3 0.0" in said
@@ -259,8 +231,8 @@ def test_a_recording_is_found_and_imported(
     error = capsys.readouterr().err
     assert "logs.file: got 'day.csv, 0 s to 14.12 s'; allowed: each stretch" in error
     assert "another [[logs]] has 4 s to 28 s" in error
-    assert ended("import", "lab.found.toml", "--find") == 2
-    assert "--find: got 'lab.found.toml'; allowed: a mapping without [[logs]]" in capsys.readouterr().err
+    said = refusal(capsys, "import", "lab.found.toml", "--find")
+    assert "--find: got 'lab.found.toml'; allowed: a mapping without [[logs]]" in said
 
 
 ENDLESS = """

@@ -8,9 +8,9 @@ import json
 import math
 import re
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Annotated
 
@@ -23,8 +23,8 @@ from estimators.testing.analytic_world import analytic_trial, drawn_object
 from scenarios.cli.robot.calibrate import COLUMNS
 from scenarios.cli.robot.trial import action_of, push_of
 from scenarios.results.store import Store, object_request
-from testbed import plugins
 from testbed.actions.accelerate import Accelerate
+from testbed.actions.base import Action
 from testbed.actions.push import Push
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
@@ -55,6 +55,10 @@ from viz.recordings.trial import SensorStream
 
 SHEET = gripper_class(RobotFile()).data_sheet(0.05)
 ended = partial(commands.ended, "robot")
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    return commands.refusal(capsys, "robot", *words)
 
 
 @pytest.fixture
@@ -149,15 +153,9 @@ class Still:
     def stop(self): ...
 
 
-def install(monkeypatch, **devices: str) -> None:
-    """Entry points of an installed package: group to "name = module:Class"."""
-    points = EntryPoints(EntryPoint(*entry.split(" = "), group=f"heft.{group}") for group, entry in devices.items())
-    monkeypatch.setattr(plugins, "entry_points", lambda *, group: points.select(group=group))
-
-
 @pytest.mark.slow
-def test_a_sensor_from_outside_by_entry_point(folder, capsys, monkeypatch):
-    install(monkeypatch, sensors=f"still = {__name__}:Still")
+def test_a_sensor_from_outside_by_entry_point(folder, capsys, install):
+    install(sensors=f"still = {__name__}:Still")
     (folder / "robot.toml").write_text('[sensor]\nmodel = "still"\nsettings = { gain = 2.0 }\n', encoding="utf-8")
     assert ended("sensor", "--seconds", "1.1", "--no-viewer") == 0
     text = capsys.readouterr().out
@@ -175,8 +173,8 @@ def test_a_sensor_from_outside_by_entry_point(folder, capsys, monkeypatch):
         ("", r"sensor\.port: got None"),
     ],
 )
-def test_a_device_that_cannot_be_built_is_named(folder, monkeypatch, table, field):
-    install(monkeypatch, sensors=f"still = {__name__}:Still")
+def test_a_device_that_cannot_be_built_is_named(folder, install, table, field):
+    install(sensors=f"still = {__name__}:Still")
     (folder / "robot.toml").write_text(f"[sensor]\n{table}\n", encoding="utf-8")
     with pytest.raises(InvalidValueError, match=field):
         build_sensor(load_robot_file(folder / "robot.toml"))
@@ -228,23 +226,43 @@ class OutsideGripper(FakeGripper):
         super().__init__(arm.robot)
 
 
-@pytest.mark.slow
-def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, capsys, monkeypatch):
-    """In simulated time: the registry builds them by the names in the robot file, and the command runs the trial."""
-    devices = {"arm": "OutsideArm", "gripper": "OutsideGripper", "sensor": "OutsideSensor"}
-    install(monkeypatch, **{f"{kind}s": f"mine = {__name__}:{name}" for kind, name in devices.items()})
-    (folder / "robot.toml").write_text("".join(f'[{kind}]\nmodel = "mine"\n' for kind in devices), encoding="utf-8")
+class OutsideCamera(FakeCamera):
+    def __init__(self):
+        super().__init__(OutsideArm.robots[0])
+        self.robot.camera = self
+
+
+OUTSIDE = {kind: f"{__name__}:Outside{kind.title()}" for kind in ("arm", "gripper", "sensor", "camera")}
+
+
+@pytest.fixture
+def outside(folder, monkeypatch) -> Callable[[Action], tuple[Trial, FakeRobot]]:
+    """Sets up the devices from outside, in simulated time, for a trial of `two.toml`."""
     save_calibration(folder / "calibration.toml", straight(), "1", "2026-01-01")
     two = '[blocks]\nlayout = ["11"]\nmass_kg = [0.4, 0.3]\n'
     (folder / "two.toml").write_text(f'name = "two"\n{two}', encoding="utf-8")
-    planned = Trial(load_object("two.toml"), Rotate(0, duration=1.3, pivot=(0.0, 0.01)))
-    robot, _ = robot_for(planned)
-    monkeypatch.setattr(OutsideArm, "robots", (robot,))
-    monkeypatch.setattr("testbed.robot.runner.MonotonicClock", lambda: robot.clock)
+
+    def set_up(action: Action) -> tuple[Trial, FakeRobot]:
+        planned = Trial(load_object("two.toml"), action)
+        robot, _ = robot_for(planned)
+        monkeypatch.setattr(OutsideArm, "robots", (robot,))
+        for module in ("runner", "interfaces"):
+            monkeypatch.setattr(f"testbed.robot.{module}.MonotonicClock", lambda: robot.clock)
+        return planned, robot
+
+    return set_up
+
+
+@pytest.mark.slow
+def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, outside, install, capsys, monkeypatch):
+    """In simulated time: the registry builds them by the names in the robot file, and the command runs the trial."""
+    devices = ("arm", "gripper", "sensor")
+    install(**{f"{kind}s": f"mine = {OUTSIDE[kind]}" for kind in devices})
+    (folder / "robot.toml").write_text("".join(f'[{kind}]\nmodel = "mine"\n' for kind in devices), encoding="utf-8")
+    planned, robot = outside(Rotate(0, duration=1.3, pivot=(0.0, 0.01)))
     words = ("trial", "two.toml", "--seconds", "1.3", "--pivot", "0", "10", "--no-back", "--out", "out")
     answer(monkeypatch, "no")
-    assert ended(*words) == 2
-    assert "not confirmed; nothing has moved" in capsys.readouterr().err
+    assert "not confirmed; nothing has moved" in refused(capsys, *words)
     assert robot.driven_after(0.0) == 0.0
     answer(monkeypatch, "yes")
     assert ended(*words) == 0
@@ -255,33 +273,18 @@ def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, capsys, m
     assert "model" not in RobotFile().to_dict()["arm"] and "gripper" not in RobotFile().to_dict()
 
 
-class OutsideCamera(FakeCamera):
-    def __init__(self):
-        super().__init__(OutsideArm.robots[0])
-        self.robot.camera = self
-
-
 @pytest.mark.slow
-def test_a_push_from_where_a_camera_sees_the_object(folder, capsys, monkeypatch):
+def test_a_push_from_where_a_camera_sees_the_object(folder, outside, capsys, monkeypatch):
     """It lies elsewhere than in the simulation, and is pushed there."""
-    devices = {"arm": "OutsideArm", "gripper": "OutsideGripper", "sensor": "OutsideSensor", "camera": "OutsideCamera"}
-    tables = "".join(f'[{kind}]\nmodel = "{__name__}:{name}"\n' for kind, name in devices.items())
+    tables = "".join(f'[{kind}]\nmodel = "{name}"\n' for kind, name in OUTSIDE.items())
     (folder / "robot.toml").write_text(tables, encoding="utf-8")
-    save_calibration(folder / "calibration.toml", straight(), "1", "2026-01-01")
-    two = '[blocks]\nlayout = ["11"]\nmass_kg = [0.4, 0.3]\n'
-    (folder / "two.toml").write_text(f'name = "two"\n{two}', encoding="utf-8")
-    model = load_object("two.toml")
-    planned = Trial(model, push_of(model.shape, (51.0, -10.0)))
-    assert isinstance(planned.action, Push) and planned.action.point == pytest.approx((0.05, -0.01))
-    robot, _ = robot_for(planned)
-    robot.world.place(np.array([0.43, 0.06, 1.0]), planned.action.fingertip(model.shape))
-    monkeypatch.setattr(OutsideArm, "robots", (robot,))
-    for module in ("runner", "interfaces"):
-        monkeypatch.setattr(f"testbed.robot.{module}.MonotonicClock", lambda: robot.clock)
+    push = push_of(load_object("two.toml").shape, (51.0, -10.0))
+    assert isinstance(push, Push) and push.point == pytest.approx((0.05, -0.01))
+    planned, robot = outside(push)
+    robot.world.place(np.array([0.43, 0.06, 1.0]), push.fingertip(planned.object.shape))
     words = ("trial", "two.toml", "--action", "push", "--point", "51", "-10", "--out", "out")
     answer(monkeypatch, "yes")
-    assert ended(*words) == 2
-    assert "from its place" in capsys.readouterr().err
+    assert "from its place" in refused(capsys, *words)
     assert ended(*words, "--at-seen", "--at", "0.4", "0", "0") == 2
     answer(monkeypatch, "yes")
     assert ended(*words, "--at-seen") == 0
@@ -289,8 +292,7 @@ def test_a_push_from_where_a_camera_sees_the_object(folder, capsys, monkeypatch)
     (kept,) = ReplayRunner(folder / "out").recordings
     assert kept.fits(planned)
     (folder / "robot.toml").write_text(tables.split("[camera]")[0], encoding="utf-8")
-    assert ended(*words) == 2
-    assert "camera.model: got None" in capsys.readouterr().err
+    assert "camera.model: got None" in refused(capsys, *words)
 
 
 SHAPE = load_object("L2").shape
@@ -324,8 +326,8 @@ def test_a_full_disk_at_the_end_is_said(folder, capsys, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("scenarios.results.store.Store.put_trial", full)
-    assert ended("trial", "L2", "--action", "weigh", "--weight", "1.8", "--out", "out") == 2
-    assert "out: the trial cannot be stored: No space left on device" in capsys.readouterr().err
+    said = refused(capsys, "trial", "L2", "--action", "weigh", "--weight", "1.8", "--out", "out")
+    assert "out: the trial cannot be stored: No space left on device" in said
 
 
 def hung(obj: ObjectModel) -> Trajectory:
@@ -372,8 +374,7 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
     read = TrackedPose(KnownPose(0.1, 0.0, 0.0), found).read()
     assert read == pytest.approx([*(turn.apply([0.1, 0, 0]) + place)[:2], math.radians(40)], abs=1e-9)
     table.drop(columns="seen_z").to_csv("points.csv", index=False)
-    assert ended("hand-eye", "points.csv") == 2
-    assert "seen_z as well" in capsys.readouterr().err
+    assert "seen_z as well" in refused(capsys, "hand-eye", "points.csv")
 
 
 @pytest.mark.parametrize(
@@ -395,10 +396,7 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
     ],
 )
 def test_bad_input_is_one_clear_line(folder, capsys, words, field):
-    assert ended(*words) == 2
-    text = capsys.readouterr().err
-    assert field in text
-    assert len(text.splitlines()) == 1
+    assert field in refused(capsys, *words)
 
 
 def test_a_robot_file_names_its_errors(folder):

@@ -5,6 +5,7 @@ import pytest
 from estimators.learned.checkpoint import Checkpoint, Origin, save_examples
 from estimators.learned.examples import make_examples
 from scenarios.cli.main import main
+from tests.helpers.commands import refusal
 
 pytest.importorskip("zuko", reason="needs the extra learned")
 pytestmark = pytest.mark.slow
@@ -23,6 +24,4 @@ def test_the_command_goes_on_with_examples_that_are_there(tmp_path, monkeypatch,
 
 
 def test_too_few_objects_are_refused(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["learn", "--objects", "5"])
-    assert "--objects" in capsys.readouterr().err
+    assert "--objects" in refusal(capsys, "learn", "--objects", "5")

@@ -10,10 +10,8 @@ import sys
 
 import numpy as np
 import pandas as pd
-from rich import box
-from rich.console import Console
+from shared import head_table, show
 
-from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 
 AXIS = "axis.policy.kind"
@@ -50,7 +48,7 @@ def main() -> None:
     named = list(dict.fromkeys(rows.loc[~drawn, "object"]))
     columns = ("", *named, f"{rows.loc[drawn, 'object'].nunique()} drawn", "answers, %", "trials", "robot s", "s")
     title = f"NAD, %: own weight, ft300s; {rows['seed'].nunique()} draws with trials of their own"
-    table = open_table(*columns, left=("",), box=box.SIMPLE_HEAD, title=title)
+    table = head_table(*columns, left=("",), title=title)
     for name, policy, method in STEPS:
         part = rows[(rows[AXIS] == policy) & (rows["method"] == method) & (rows["status"] != "infeasible")]
         of, answered = part["object"].to_numpy(), part["nad"].notna().to_numpy()
@@ -60,7 +58,7 @@ def main() -> None:
         cells.append(f"{np.median([mean for each, mean in means.items() if each not in named]):.1f}")
         cells += [f"{100 * answered.mean():.0f}", f"{part['trials'].mean():.1f}", f"{part['robot_s'].mean():.0f}"]
         table.add_row(name, *cells, f"{part['seconds'].mean():.2g}")
-    Console(width=180).print(table)
+    show(table, width=180)
 
 
 if __name__ == "__main__":

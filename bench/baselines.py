@@ -15,9 +15,9 @@ from statistics import median
 
 import numpy as np
 import torch
-from rich import box
-from rich.console import Console
 from scipy.optimize import minimize
+from shared import head_table
+from shared import show as printed
 from torch import Tensor
 
 from estimators.base import Estimate
@@ -30,7 +30,6 @@ from estimators.descent import OPTIMIZERS
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.analytic_world import accelerated, turns
 from estimators.wrench.model import ModelErrors
-from scenarios.cli.terminal import open_table
 from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.trajectory import Trajectory
@@ -88,10 +87,10 @@ def over_seeds(name: str, method: Baseline) -> str:
 
 def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table on the screen."""
-    table = open_table(*columns, left=columns[:1], title=title, box=box.SIMPLE_HEAD, title_justify="left")
+    table = head_table(*columns, left=columns[:1], title=title, title_justify="left")
     for row in rows:
         table.add_row(*row)
-    Console(width=110).print(table)
+    printed(table, width=110)
 
 
 def random_search() -> None:

@@ -17,9 +17,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy starts its threads
 import mujoco
 import numpy as np
 import torch
-from rich import box
-from rich.console import Console
 from rich.table import Table
+from shared import head_table, show
 
 from estimators.action_selection.rank import between_particles
 from estimators.baselines.diff_lcp import DiffLcp
@@ -32,7 +31,6 @@ from estimators.hidden_states.friction import closed_form, descend_loads
 from estimators.particles.observe import observe
 from estimators.posterior.on_table import OnTable
 from estimators.wrench.model import ParticleModel, inertia_of, one_step
-from scenarios.cli.terminal import open_table
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.rotate import Rotate
 from testbed.objects.files import load_object
@@ -194,7 +192,7 @@ def peak_memory_mb() -> float:
 def main() -> None:
     """Print one table."""
     torch.set_num_threads(1)
-    table = open_table("what", "measured", "against", "ratio", "goal", left=("what",), box=box.SIMPLE_HEAD)
+    table = head_table("what", "measured", "against", "ratio", "goal", left=("what",))
 
     time_trial(table)
     clean, weight = six_turns()
@@ -234,14 +232,9 @@ def main() -> None:
         label = f"loss and gradient, {count} particles x {TURNS} turns"
         table.add_row(label, f"{took * 1e3:.2f} ms", f"{each:.0f} ns/particle", f"{growth:.2f} x linear", "<= 1")
     table.add_row("peak memory of a worker", f"{peak_memory_mb():.0f} MiB", "", "", "<= 1024 MiB")
-    table.add_row(
-        "peak memory of this process",
-        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB",
-        "",
-        "",
-        "",
-    )
-    Console(width=130).print(table)
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    table.add_row("peak memory of this process", f"{own:.0f} MiB", "", "", "")
+    show(table, width=130)
 
 
 if __name__ == "__main__":

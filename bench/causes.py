@@ -9,21 +9,16 @@ first one was where it was not the fault; and objects in a lab as stated of whic
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-import torch
 from honesty import LAB, drawn, trials
-from rich import box
-from rich.console import Console
+from shared import head_table, parser_of, pooled, show
 
 from estimators.posterior.diagnosis import DECISIVE, WIDER, Diagnosis, diagnose
-from scenarios.cli.terminal import open_table
 from testbed.worlds.setup_errors import PARAMETERS
 
 FAULTS = (
@@ -100,16 +95,11 @@ def judged(fault: str, found: Diagnosis) -> Found:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--objects", type=int, default=4)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    args = parser.parse_args()
+    args = parser_of(__doc__, objects=4, seed=1, workers=2).parse_args()
     jobs = [(fault, index) for fault in (*FAULTS, NONE) for index in range(args.objects)]
-    with get_context("spawn").Pool(args.workers, torch.set_num_threads, (1,)) as pool:
-        rows = pool.map(partial(diagnosed, seed=args.seed), jobs, chunksize=1)
+    rows = pooled(partial(diagnosed, seed=args.seed), jobs, args.workers)
     columns = ("fault", "first", "within 10", "named", "another named", "log10 odds", "true size", "size found")
-    table = open_table(*columns, left=("fault",), box=box.SIMPLE_HEAD)
+    table = head_table(*columns, left=("fault",))
     for fault in FAULTS:
         part = [row for row in rows if row.fault == fault]
         counts = [
@@ -121,17 +111,16 @@ def main() -> None:
         sizes = [WIDER * getattr(LAB, fault), float(np.nanmedian([row.size for row in part]))]
         shown = [PARAMETERS[fault].formatted(size) for size in sizes]
         table.add_row(fault, *map(str, counts), f"{np.nanmedian([row.odds for row in part]):.1f}", *shown)
-    console = Console(width=140)
-    console.print(table)
+    lines: list[Any] = [table]
     faulty = [row for row in rows if row.fault != NONE]
     first, near = sum(row.first == row.fault for row in faulty), sum(row.behind < 1 for row in faulty)
-    console.print(f"first {first}, within a factor of ten {near}, of {len(faulty)}; named: odds over 10^{DECISIVE:g}")
+    lines.append(f"first {first}, within a factor of ten {near}, of {len(faulty)}; named: odds over 10^{DECISIVE:g}")
     for fault in FAULTS:
         others = Counter(row.first or "support or trial" for row in faulty if row.fault == fault != row.first)
         if others:
-            console.print(f"{fault}: " + ", ".join(f"{name} {count}" for name, count in others.most_common()))
+            lines.append(f"{fault}: " + ", ".join(f"{name} {count}" for name, count in others.most_common()))
     wrong = Counter(row.named for row in rows if row.fault == NONE and row.named)
-    console.print(f"{NONE}: {dict(wrong) or 'none named'} of {args.objects}")
+    show(*lines, f"{NONE}: {dict(wrong) or 'none named'} of {args.objects}", width=140)
 
 
 if __name__ == "__main__":

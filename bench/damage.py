@@ -27,7 +27,6 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from scenarios.cli.main import main
 from scenarios.config import load_scenario
 from scenarios.results.estimates import load_estimate, load_rows
@@ -46,9 +45,9 @@ from testbed.objects.files import asset_folder
 from testbed.objects.meshes import read_mesh
 from testbed.robot.registry import load_robot_file
 from testbed.sensing.compensation import compensate
-from tests.fakes.lab_bench import mapping_of, write_csv, write_toml  # pyright: ignore[reportMissingImports]
-from tests.helpers.changes import SEALED, resealed, restated, turned  # pyright: ignore[reportMissingImports]
-from tests.helpers.runs import small_scenario  # pyright: ignore[reportMissingImports]
+from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
+from tests.helpers.changes import SEALED, resealed, restated, turned
+from tests.helpers.runs import small_scenario
 
 MOST_S, MOST_MB = 3.0, 500.0
 WHO = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)

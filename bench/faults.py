@@ -20,34 +20,19 @@ import math
 import re
 import sys
 from collections import Counter
-from pathlib import Path
 
-from rich import box
-from rich.console import Console
 from rich.table import Table
+from shared import head_table, show
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from scenarios.cli.terminal import open_table
 from testbed.trajectory import Trajectory
 from testbed.trial import Trial
-from tests.fakes.faults import (  # pyright: ignore[reportMissingImports]
-    BOUND,
-    FAULTS,
-    LIVE,
-    Outcome,
-    struck_by,
-)
-from tests.fakes.gen3 import FakeGen3  # pyright: ignore[reportMissingImports]
-from tests.fakes.lying_camera import DRAG, LIES, PUSH, Lie, begins  # pyright: ignore[reportMissingImports]
-from tests.fakes.robot import robot_for, small_object  # pyright: ignore[reportMissingImports]
-from tests.fakes.wire_faults import (  # pyright: ignore[reportMissingImports]
-    LAST,
-    WIRE_FAULTS,
-    freeze_both,
-    stopped_after,
-)
-from tests.fakes.wire_faults import PHASES as WIRE_PHASES  # pyright: ignore[reportMissingImports]
-from tests.fakes.world import Gen3World  # pyright: ignore[reportMissingImports]
+from tests.fakes.faults import BOUND, FAULTS, LIVE, Outcome, struck_by
+from tests.fakes.gen3 import FakeGen3
+from tests.fakes.lying_camera import DRAG, LIES, PUSH, Lie, begins
+from tests.fakes.robot import robot_for, small_object
+from tests.fakes.wire_faults import LAST, WIRE_FAULTS, freeze_both, stopped_after
+from tests.fakes.wire_faults import PHASES as WIRE_PHASES
+from tests.fakes.world import Gen3World
 
 STOP_TIME = 0.1
 """Time within which a Stop must reach the arm [s]."""
@@ -72,7 +57,7 @@ def phases(runs: int) -> int:
             _ends(everything),
             everything[-1].reason[:60],
         )
-    Console(width=170).print(table)
+    show(table, width=170)
     print(f"{sum(len(fault.phases) for fault in LIVE) * runs} runs: {bad} too late or not in the record")
     return bad
 
@@ -93,7 +78,7 @@ def moments(runs: int) -> int:
             f"{1e3 * max(outcome.rolled for outcome in outcomes):.0f}",
             str(sum(bool(outcome.wrong) for outcome in outcomes)),
         )
-    Console(width=130).print(table)
+    show(table, width=130)
     late, wrong = (
         sum(max(o.after_stop, o.after_loss) > BOUND for o in everything),
         sum(bool(o.wrong) for o in everything),
@@ -112,7 +97,7 @@ def wire(runs: int) -> int:
                 stop, moved = max(o.stop_s for o in outcomes), max(o.moved_mm for o in outcomes)
                 bad += sum(o.stop_s > (ARM_TIME if name == LAST else STOP_TIME) or GOES_ON in o.said for o in outcomes)
                 table.add_row(name, phase, f"{1e3 * stop:.0f}", f"{moved:.1f}", outcomes[0].said[:90])
-    Console(width=190).print(table)
+    show(table, width=190)
     print(f"{(len(WIRE_FAULTS) + 1) * len(WIRE_PHASES) * runs} runs: {bad} late, never stopped, or went on")
     return bad
 
@@ -136,13 +121,13 @@ def camera(runs: int) -> int:
             stop, way = max(stop for _, stop, _ in outcomes), 1e3 * max(way for _, _, way in outcomes)
             live, record = f"{1e3 * stop:.0f}" if stop < 1 else "at the end", outcomes[0][0]
             table.add_row(name, kind, live, f"{way:.0f}", f"{record.status}: {record.reason[:80]}")
-    Console(width=170).print(table)
+    show(table, width=170)
     print(f"{2 * len(LIES) * runs} runs: {bad} without a word")
     return bad
 
 
 def _table(*columns: str) -> Table:
-    return open_table(*columns, left=[name for name in columns if ", m" not in name], box=box.SIMPLE_HEAD)
+    return head_table(*columns, left=[name for name in columns if ", m" not in name])
 
 
 def _ends(outcomes: list[Outcome]) -> str:

@@ -13,9 +13,7 @@ import time
 from typing import Any
 
 import torch
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from shared import head_table, show
 
 from estimators.baselines.diff_lcp import DiffLcp
 from estimators.baselines.explicit_state import ExplicitState
@@ -73,7 +71,8 @@ def main() -> None:
     if len(sys.argv) == 4 and sys.argv[2] in SIZES:
         print(*measure(sys.argv[1], sys.argv[2], int(sys.argv[3])))
         return
-    table = Table("method", "axis", "sizes", "CPU s", "exponent", "peak MiB", box=box.SIMPLE_HEAD)
+    columns = ("method", "axis", "sizes", "CPU s", "exponent", "peak MiB")
+    table = head_table(*columns, left=columns)
     for name in sys.argv[1:] or METHODS:
         for axis, sizes in SIZES.items():
             cases = []
@@ -82,10 +81,9 @@ def main() -> None:
                 words = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
                 cases.append((float(words[0]), float(words[1])))
             grown = math.log(cases[-1][0] / cases[0][0]) / math.log(sizes[-1] / sizes[0])
-            texts = (" / ".join(f"{x:.3g}" for x in column) for column in zip(*cases, strict=True))
-            seconds, memory = texts
+            seconds, memory = (" / ".join(f"{x:.3g}" for x in column) for column in zip(*cases, strict=True))
             table.add_row(name, axis, " / ".join(map(str, sizes)), seconds, f"{grown:.2f}", memory)
-    Console(width=120).print(table)
+    show(table, width=120)
 
 
 if __name__ == "__main__":

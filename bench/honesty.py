@@ -13,34 +13,19 @@ ones the exact upper bound. Below, the methods paired on the same trials.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
-import torch
-from rich import box
-from rich.console import Console
 from scipy.stats import beta
+from shared import head_table, parser_of, pooled, show
 
 from estimators.action_selection.design import Guess, prior_belief
 from estimators.evaluation.statistics import NINETY
 from estimators.identifiability.information import shown_information
 from estimators.registry import build_method
-from estimators.testing.analytic_lab import (
-    LAB,
-    PADS,
-    PATTERNS,
-    RIGID,
-    ROUGH,
-    Draw,
-    contacts,
-    drawn,
-    flawed_trial,
-)
-from scenarios.cli.terminal import open_table
+from estimators.testing.analytic_lab import LAB, PADS, PATTERNS, RIGID, ROUGH, Draw, contacts, drawn, flawed_trial
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import TableAction
 from testbed.actions.rotate import Rotate
@@ -142,10 +127,7 @@ def answered(
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--objects", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--methods", nargs="+", default=["hidden_states"])
+    parser = parser_of(__doc__, objects=20, seed=1, methods=["hidden_states"], workers=2)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=["ideal", "lab", "rough"])
     parser.add_argument("--contacts", nargs="+", default=list(PATTERNS), help=f"{', '.join([*PATTERNS, PADS, *RIGID])}")
     given = parser.add_mutually_exclusive_group()
@@ -153,26 +135,22 @@ def main() -> None:
     given.add_argument(
         "--unstated", dest="given", action="store_const", const=UNSTATED, help="state nothing of the setup"
     )
-    parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     kinds = {world: ["grid"] if world == "ideal" else args.contacts for world in args.worlds}
     jobs = [(i, kind, world) for world in args.worlds for kind in kinds[world] for i in range(args.objects)]
     judge = partial(judged, seed=args.seed, methods=tuple(args.methods), given=args.given)
-    with get_context("spawn").Pool(args.workers, torch.set_num_threads, (1,)) as pool:
-        rows = [row for part in pool.imap(judge, jobs) for row in part]
+    rows = [row for part in pooled(judge, jobs, args.workers) for row in part]
     names = ("world", "contacts", "method")
     numbers = ("NAD", "RMSE / bound", "off / claimed", "90 % hold", "width, %", "ok, %", "silent, %", "misfit", "s")
-    table = open_table(*names, *numbers, left=names, box=box.SIMPLE_HEAD)
+    table = head_table(*names, *numbers, left=names)
     for world in args.worlds:
         for kind in [*kinds[world], "all"] if len(kinds[world]) > 1 else kinds[world]:
             for method in args.methods:
                 part = [r for r in rows if (r.world, r.method) == (world, method) and kind in (r.contact, "all")]
                 table.add_row(world, kind, method, *summary(part))
-    console = Console(width=160)
-    console.print(table)
-    for world in args.worlds:
-        for method in args.methods[1:]:
-            console.print(f"{world}: {paired(rows, world, args.methods[0], method)}")
+    first, *others = args.methods
+    lines = [f"{world}: {paired(rows, world, first, method)}" for world in args.worlds for method in others]
+    show(table, *lines, width=160)
 
 
 def paired(rows: list[Judged], world: str, first: str, second: str) -> str:

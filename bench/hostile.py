@@ -17,11 +17,10 @@ from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from mcap.writer import CompressionType, Writer
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from shared import head_table, show
 
 MOST_S, MOST_MB = 40.0, 1500.0
 Files = Iterator[tuple[str, bytes]]
@@ -128,28 +127,21 @@ def models() -> Files:
         "textures": [{"source": 0}],
         "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
     }
-    yield "2^31 corners", glb(document(2**31), corners)
-    yield "an image of 50,000 x 50,000", glb(document(**textured), corners + image)
-    yield "nodes in a circle", glb(document(nodes=[{"children": [1]}, {"mesh": 0, "children": [0]}]), corners)
-    yield "2^40 copies of a mesh", glb(document(nodes=[*doubled, {"mesh": 0}]), corners)
-    yield (
-        "nodes 20,000 deep",
-        glb(document(nodes=[*({"children": [i + 1]} for i in range(20_000)), {"mesh": 0}]), corners),
-    )
-    yield (
-        "a mesh in 300,000 nodes",
-        glb(document(nodes=[{"mesh": 0}] * 300_000, scenes=[{"nodes": list(range(300_000))}]), corners),
-    )
-    yield (
-        "sparse accessor of 2^30",
-        glb(
-            document(accessors=[{"componentType": 5126, "count": 2**30, "type": "VEC3", "sparse": {"count": 1}}]),
-            corners,
-        ),
-    )
+
+    def made(binary: bytes = corners, **changes: Any) -> bytes:
+        return glb(document(**changes), binary)
+
+    sparse = {"componentType": 5126, "count": 2**30, "type": "VEC3", "sparse": {"count": 1}}
+    yield "2^31 corners", made(count=2**31)
+    yield "an image of 50,000 x 50,000", made(corners + image, **textured)
+    yield "nodes in a circle", made(nodes=[{"children": [1]}, {"mesh": 0, "children": [0]}])
+    yield "2^40 copies of a mesh", made(nodes=[*doubled, {"mesh": 0}])
+    yield "nodes 20,000 deep", made(nodes=[*({"children": [i + 1]} for i in range(20_000)), {"mesh": 0}])
+    yield "a mesh in 300,000 nodes", made(nodes=[{"mesh": 0}] * 300_000, scenes=[{"nodes": [*range(300_000)]}])
+    yield "sparse accessor of 2^30", made(accessors=[sparse])
     yield "JSON nested 100,000 deep", glb(b"[" * 100_000 + b"]" * 100_000)
-    yield "corners at infinity", glb(document(), struct.pack("<9f", *[float("inf")] * 9))
-    yield "lengths beyond the file", glb(document(), corners)[:40]
+    yield "corners at infinity", made(struct.pack("<9f", *[float("inf")] * 9))
+    yield "lengths beyond the file", made()[:40]
 
 
 def packages() -> Files:
@@ -176,22 +168,18 @@ def packages() -> Files:
         return f'<components><component objectid="{a}"/><component objectid="{b}"/></components>'
 
     one = f'<object id="1">{mesh}</object>'
+    doubled = "".join(f'<object id="{i}">{both(i - 1, i - 1)}</object>' for i in range(2, 42))
+    far = f"{head}<resources>{one}</resources></model>".replace('x="1"', f'x="1{"0" * 400}"')
     laughs = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 10))
     yield "1 GB of zeros", package(bytes(2**30))
     yield "1 GB of text in a tag", package(head.encode() + b"<metadata>" + b"a" * 2**30)
     yield "a billion laughs", package(f'<!DOCTYPE a [<!ENTITY a0 "lol">{laughs}]>{head}&a9;</model>')
     yield "components in a circle", parts(f'<object id="1">{both(1, 1)}</object>', 1)
-    yield (
-        "2^40 copies of a mesh",
-        parts(one + "".join(f'<object id="{i}">{both(i - 1, i - 1)}</object>' for i in range(2, 42)), 41),
-    )
+    yield "2^40 copies of a mesh", parts(one + doubled, 41)
     yield "an item a million times", parts(one, 1, 1_000_000)
     yield "tags 100,000 deep", package(head + "<a>" * 100_000)
     yield "100,000 files in it", package(head, 100_000)
-    yield (
-        "a corner at 10^400",
-        package(f"{head}<resources>{one}</resources></model>".replace('x="1"', f'x="1{"0" * 400}"')),
-    )
+    yield "a corner at 10^400", package(far)
     yield "corners that are not there", parts(one.replace('v3="2"', 'v3="2000000000"'), 1)
     yield "not even a zip", b"PK\x03\x04" + bytes(100)
 
@@ -201,12 +189,10 @@ def meshes(kind: str) -> Files:
     ply = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n{}end_header\n"
     face = "element face {}\nproperty list uint int vertex_indices\n"
     if kind == "ply":
+        large = ply.format("binary_little_endian", 3, face.format(1)).encode() + bytes(36) + b"\xff" * 8
         yield "2^31 corners", ply.format("binary_little_endian", 2**31, "").encode() + bytes(36)
         yield "-1 corners", ply.format("ascii", -1, "").encode()
-        yield (
-            "a face of 2^32 corners",
-            (ply.format("binary_little_endian", 3, face.format(1)).encode() + bytes(36) + b"\xff" * 8),
-        )
+        yield "a face of 2^32 corners", large
         yield "10^9 faces, as text", ply.format("ascii", 3, face.format(10**9)).encode() + b"0 0 0\n" * 3
         yield "a million properties", ply.format("ascii", 1, "property float p\n" * 1_000_000).encode() + b"0 0 0\n"
         yield "a line of 100 MB", ply.format("ascii", 1, "comment " + "a" * 10**8 + "\n").encode()
@@ -291,7 +277,8 @@ def write(folder: Path, kinds: list[str]) -> None:
 
 def main() -> None:
     kinds = sys.argv[1:] or list(KINDS)
-    table = Table("kind", "file", "MB", "outcome", "s", "MB of memory", box=box.SIMPLE_HEAD)
+    columns = ("kind", "file", "MB", "outcome", "s", "MB of memory")
+    table = head_table(*columns, left=columns)
     costs: dict[str, list[tuple[str, float, float]]] = {kind: [] for kind in kinds}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
@@ -306,14 +293,13 @@ def main() -> None:
             size, outcome = f"{path.stat().st_size / 1e6:.3g}", outcome.replace(made, "")
             table.add_row(kind, name, size, outcome, f"{seconds:.1f}", f"{memory:.0f}")
             print(f"{kind} {name}: {outcome}, {seconds:.1f} s, {memory:.0f} MB", file=sys.stderr, flush=True)
-    summary = Table("kind", "files", "read", "refused", "traceback", "most s", "most MB", box=box.SIMPLE_HEAD)
+    columns = ("kind", "files", "read", "refused", "traceback", "most s", "most MB")
+    summary = head_table(*columns, left=columns)
     for kind, each in costs.items():
         counts = [sum(said.startswith(how) for said, _, _ in each) for how in ("read", "refused", "TRACEBACK")]
         most = [f"{max(values):.0f}" for values in ([c[1] for c in each], [c[2] for c in each])]
         summary.add_row(kind, str(len(each)), *map(str, counts), *most)
-    console = Console(width=170)
-    console.print(table)
-    console.print(summary)
+    show(table, summary, width=170)
     every = [cost for each in costs.values() for cost in each]
     sys.exit(any(said.startswith("TRACEBACK") or s > MOST_S or mb > MOST_MB for said, s, mb in every))
 

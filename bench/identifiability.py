@@ -20,8 +20,8 @@ from statistics import median
 
 import numpy as np
 import torch
-from rich.console import Console
 from scipy.optimize import minimize
+from shared import parser_of, show
 
 from estimators.evaluation.statistics import NINETY
 from estimators.hidden_states.equations import FrictionEquations
@@ -96,7 +96,7 @@ def coverage(folder: Path, options: argparse.Namespace) -> None:
         nad = 100 * np.mean(np.abs(off) @ each.model.shape.particles_per_group) / each.model.total_mass
         row = f"{100 * _held(score):.0f}", f"{math.sqrt(np.mean(score**2)):.2f}", f"{nad:.2f}"
         table.add_row(each.model.name, str(len(truth)), *row)
-    Console().print(table)
+    show(table)
     if not scores:
         return
     by_object = np.array([_held(score) for score in scores])
@@ -139,7 +139,7 @@ def bound(folder: Path, options: argparse.Namespace) -> None:
             pooled = math.sqrt(np.mean([a / b for a, b in parts]))
             cells += [f"{pooled:.2f}", f"{median(math.sqrt(a / b) for a, b in parts):.2f}"]
         table.add_row(method, str(sum(len(each) > 0 for each in off.values())), *cells)
-    Console().print(table)
+    show(table)
 
 
 def _stored(folder: Path, options: argparse.Namespace, names: set[str]) -> dict[str, dict[str, np.ndarray]]:
@@ -197,13 +197,9 @@ def _at_truth(
 def main() -> None:
     """Run one of the measurements."""
     torch.set_num_threads(1)
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, draws=8, objects=10_000, support="own_weight", sensing="ft300s")
     parser.add_argument("what", choices=("coverage", "bound", "errors"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--draws", type=int, default=8)
-    parser.add_argument("--objects", type=int, default=10_000)
-    parser.add_argument("--support", default="own_weight")
-    parser.add_argument("--sensing", default="ft300s")
     options = parser.parse_args()
     {"coverage": coverage, "bound": bound, "errors": errors}[options.what](options.folder, options)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import fmean
 
 from matplotlib.figure import Figure
+from shared import parser_of
 from tables import PADS, claimed, markdown, nad_of, objects_of, seconds_of
 
 from estimators.evaluation.statistics import AXIS, Row, methods_of, select, summarize
@@ -27,7 +28,8 @@ from testbed.toml import load_toml
 
 BUDGETS = [95.0, 190.0, 380.0]
 TURNS = {"policy.pivots": [2, 4, 8], "policy.accelerated": [1, 2, 4]}
-METHODS = "bayes", "hidden_states", "least_squares"
+METHODS = ["bayes", "hidden_states", "least_squares"]
+OBJECTS = ["I1", "I2", "L1", "L2", "F1", "F2"]
 PADDED = load_scenario("lab_pads")[1].objects
 """Objects on pads."""
 KINDS = {
@@ -94,17 +96,12 @@ def drawn(sets: dict[str, list[tuple[str, list[Row]]]]) -> Figure:
 
 def main() -> None:
     """Run what is missing, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(
+        __doc__, seeds=2, objects=OBJECTS, drawn=0, family=0, budgets=BUDGETS, methods=METHODS, workers=2
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--figure", type=Path)
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--objects", nargs="+", default=["I1", "I2", "L1", "L2", "F1", "F2"])
-    parser.add_argument("--drawn", type=int, default=0)
-    parser.add_argument("--family", type=int, default=0)
     parser.add_argument("--planned", action="store_true")
-    parser.add_argument("--budgets", type=float, nargs="+", default=BUDGETS)
-    parser.add_argument("--methods", nargs="+", default=METHODS)
-    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--secret")
     given = parser.parse_args()
     sets = {}

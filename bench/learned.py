@@ -15,16 +15,11 @@ rigid     one rigid body on three of its points
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
-import torch
 from honesty import LAB, ROUGH, Judged, answered, drawn, trials
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from shared import head_table, parser_of, pooled, show
 
 from estimators.evaluation.statistics import NINETY
 from testbed.objects.blocks import block_object, parse_layout
@@ -55,7 +50,6 @@ def bar(index: int, seed: int) -> ObjectModel:
 
 def rows_of(job: tuple[str, int], seed: int, methods: tuple[str, ...]) -> list[Judged]:
     """Answers on one object under one condition."""
-    torch.set_num_threads(1)
     name, index = job
     patterns, setup, stated = CONDITIONS[name]
     pattern = patterns[index % len(patterns)]
@@ -96,23 +90,18 @@ def cells(part: list[Judged]) -> list[str]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--objects", type=int, default=24)
-    parser.add_argument("--seed", type=int, default=1001)
-    parser.add_argument("--methods", nargs="+", default=list(METHODS))
+    parser = parser_of(__doc__, objects=24, seed=1001, methods=list(METHODS), workers=2)
     parser.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS))
-    parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     jobs = [(name, index) for name in args.conditions for index in range(args.objects)]
     work = partial(rows_of, seed=args.seed, methods=tuple(args.methods))
-    with get_context("spawn").Pool(args.workers) as pool:
-        rows = [row for found in pool.imap(work, jobs) for row in found]
+    rows = [row for found in pooled(work, jobs, args.workers) for row in found]
     names = ("condition", "method", "NAD", "mean NAD", "error / claimed", "90 % hold", "ok, %", "silent, %", "s")
-    table = Table(*names, box=box.SIMPLE_HEAD)
+    table = head_table(*names, left=names)
     for name in args.conditions:
         for method in (*args.methods, "even"):
             table.add_row(name, method, *cells([r for r in rows if (r.world, r.method) == (name, method)]))
-    Console(width=140).print(table)
+    show(table, width=140)
 
 
 if __name__ == "__main__":

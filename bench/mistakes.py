@@ -8,7 +8,6 @@ largest error of a mass over its claimed error in any draw. SILENT: nothing is s
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
 from collections.abc import Callable
@@ -17,10 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
+from shared import head_table, parser_of
 
 from estimators.registry import build_method
 from estimators.testing.recorded import KnownBlock, load_block
@@ -175,12 +173,10 @@ def row_of(mistake: Mistake, block: KnownBlock, draw: int, folder: Path) -> tupl
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=3)
-    options = parser.parse_args()
+    options = parser_of(__doc__, draws=3).parse_args()
     block = load_block("L2-own_weight")
-    says = ("import says", "estimate says")
-    table = Table("mistake", *says, "status", "misfit", "NAD (claimed), %", "error / claimed", box=box.SIMPLE_HEAD)
+    says = ("mistake", "import says", "estimate says", "status", "misfit", "NAD (claimed), %", "error / claimed")
+    table = head_table(*says, left=says)
     for mistake in MISTAKES:
         with tempfile.TemporaryDirectory() as folder:
             for name, text in (("mirrored", MIRRORED), ("larger", LARGER)):

@@ -11,11 +11,9 @@ import sys
 from pathlib import Path
 
 import torch
-from rich import box
-from rich.console import Console
+from shared import head_table, show
 
 from scenarios.cli.main import main as heft
-from scenarios.cli.terminal import open_table
 from scenarios.results.estimates import load_results
 
 
@@ -26,20 +24,15 @@ def nine(folder: str) -> None:
     names = list(dict.fromkeys(results["object"]))
     for sensing, rows in results.groupby("sensing", sort=False):
         first, columns = f"{sensing}: NAD, %", (*names, "MPD, cm", "s", "rollouts", "robot s")
-        table = open_table(first, *columns, left=(first,), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = head_table(first, *columns, left=(first,), padding=(0, 1, 0, 0))
         for method, own in rows.groupby("method", sort=False):
             nads = [f"{100 * own[own['object'] == name]['nad'].mean():.1f}" for name in names]
-            rest = (100 * own["mpd_open_loop_m"].mean(), own["seconds"].mean())
-            table.add_row(
-                str(method),
-                *nads,
-                *(f"{v:.2g}" for v in rest),
-                f"{own['rollouts'].fillna(0).mean():.0f}",
-                f"{own['robot_s'].mean():.0f}",
-            )
+            rest = [f"{v:.2g}" for v in (100 * own["mpd_open_loop_m"].mean(), own["seconds"].mean())]
+            rest += [f"{v.mean():.0f}" for v in (own["rollouts"].fillna(0), own["robot_s"])]
+            table.add_row(str(method), *nads, *rest)
         best = 100 * rows["mpd_open_loop_of_truth_m"].mean()
         table.add_row("the true masses", *[""] * len(names), f"{best:.2g}", "", "", "")
-        Console(width=120).print(table)
+        show(table, width=120)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from rich import box
 from rich.console import Console
 from rich.table import Table
+from shared import head_table
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
@@ -27,7 +26,6 @@ from estimators.particles.observe import observe
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
 from scenarios.catalog import LIBRARY
-from scenarios.cli.terminal import open_table
 from scenarios.config import Grid, Scenario, Simulation
 from scenarios.execution.executor import default_workers
 from scenarios.study.run import run_scenario
@@ -46,7 +44,7 @@ from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import ContactSettings, ServoSettings, SimulationSettings
 from testbed.trajectory import Phase, Trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
-from tests.fakes.analytic_links import drawn_chain  # pyright: ignore[reportMissingImports]
+from tests.fakes.analytic_links import drawn_chain
 
 TOOLS = ("hammer", "wrench")
 HINGED = ("shears", "folding_rule", "saw")
@@ -292,12 +290,8 @@ def resolution(console: Console) -> None:
     }
     for name, change in changes.items():
         with tempfile.TemporaryDirectory() as folder:
-            rows = run_scenario(
-                base.model_copy(update=change),
-                Path(folder),
-                default_workers(),
-                lambda stage, done, total, failed=0: None,
-            )
+            asked = base.model_copy(update=change)
+            rows = run_scenario(asked, Path(folder), default_workers(), lambda *_, **__: None)
         nad = dict(zip(rows["object"], rows["nad"], strict=True))
         table.add_row(name, *(f"{100 * nad[o]:.2f}" for o in ("I2", "L2", "F2")))
     console.print(table)
@@ -305,7 +299,7 @@ def resolution(console: Console) -> None:
 
 def _table(title: str, *columns: str) -> Table:
     words = ("object", "support", "lever", "change")
-    return open_table(*columns, left=words, title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    return head_table(*columns, left=words, title=title, title_justify="left")
 
 
 def main() -> None:

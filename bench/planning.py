@@ -26,6 +26,7 @@ from zlib import crc32
 
 import numpy as np
 import torch
+from shared import parser_of
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import spent_seconds
@@ -245,15 +246,10 @@ def _band(values: np.ndarray) -> str:
 
 def main() -> None:
     """Choose what to measure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, objects=4, draws=4, workers=2, seed=0, sensing="ft300s")
     kinds = {"policies": policies, "more": more}
     parser.add_argument("what", choices=kinds)
-    parser.add_argument("--objects", type=int, default=4)
     parser.add_argument("--first", type=int, default=None)
-    parser.add_argument("--draws", type=int, default=4)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sensing", default="ft300s")
     parser.add_argument("--policies", nargs="+", choices=COMPARED, default=COMPARED)
     parser.add_argument("--rows", type=Path, default=None)
     options = parser.parse_args()

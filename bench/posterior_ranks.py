@@ -10,18 +10,14 @@ of a search that ended elsewhere.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 import torch
-from rich import box
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import chisquare
+from shared import head_table, parser_of, pooled, show
 
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
@@ -67,7 +63,6 @@ PROBLEMS = {
 
 def ranks(problem: Problem, seed: int) -> np.ndarray:
     """Rank of every true mass and friction among the draws of one problem, 0 to 1; the last entry is the misfit."""
-    torch.set_num_threads(1)
     rng, errors = np.random.default_rng(seed), ModelErrors()
     obj, stated = drawn_object(seed % 7), world(problem.setup).stated
     trials = turns(obj, noise=NOISE) + (accelerated(obj, noise=NOISE) if problem.swung else [])
@@ -116,19 +111,15 @@ def even(ranks: np.ndarray) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
+    parser = parser_of(__doc__, problems=300, seed=0, workers=2)
     parser.add_argument("--worlds", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
-    parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     heads = ["world", "problems", "50 % hold", "90 % hold", "rank", "p", "friction's rank", "p", "unexplained"]
-    table = Table(*heads, box=box.SIMPLE_HEAD)
-    with get_context("spawn").Pool(asked.workers) as pool:
-        for name in asked.worlds:
-            seeds = range(1000 * asked.seed, 1000 * asked.seed + asked.problems)
-            table.add_row(*row(name, pool.map(partial(ranks, PROBLEMS[name]), seeds)))
-    Console().print(table)
+    table = head_table(*heads, left=heads)
+    for name in asked.worlds:
+        seeds = range(1000 * asked.seed, 1000 * asked.seed + asked.problems)
+        table.add_row(*row(name, pooled(partial(ranks, PROBLEMS[name]), seeds, asked.workers)))
+    show(table)
 
 
 if __name__ == "__main__":

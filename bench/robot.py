@@ -10,17 +10,14 @@ import itertools
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 from rich import box
-from rich.console import Console
-from rich.table import Table
+from shared import head_table, show
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from testbed.robot.interfaces import WrenchSample
 from testbed.robot.robotiq.ft300s import Ft300s
-from tests.fakes.ft300s import FakeFt300s  # pyright: ignore[reportMissingImports]
+from tests.fakes.ft300s import FakeFt300s
 
 _WRAP = 30_000
 """Numbers that one axis can say."""
@@ -58,21 +55,19 @@ def sensor(minutes: float) -> None:
     numbers = [round(s.wrench[0] * 100) + _WRAP * round(s.wrench[1] * 100) for s in samples]
     missing = np.diff(numbers) - 1
     gaps = np.diff([s.time_s for s in samples]) * 1e3
-    table = Table("figure", "value", box=box.SIMPLE)
+    table = head_table("figure", "value", left=("figure", "value"), box=box.SIMPLE)
+    between = "{:.2f}, {:.2f}, {:.2f} ms".format(*np.quantile(gaps, [0.5, 0.99, 1]))
     for figure, value in (
         ("time", f"{wall:.1f} s"),
         ("frames read", f"{len(numbers)} ({len(numbers) / wall:.2f} a second)"),
         ("frames lost, by their numbers", f"{int(missing.sum())}"),
         ("frames lost, by the driver's clock", f"{health.lost_frames}"),
         ("CRC errors, resyncs, dropouts", f"{health.crc_errors}, {health.resyncs}, {health.dropouts}"),
-        (
-            "time between frames: median, p99, most",
-            "{:.2f}, {:.2f}, {:.2f} ms".format(*np.quantile(gaps, [0.5, 0.99, 1])),
-        ),
+        ("time between frames: median, p99, most", between),
         ("CPU of the reading process", f"{100 * cpu / wall:.2f} % of one core"),
     ):
         table.add_row(figure, value)
-    Console(width=100).print(table)
+    show(table, width=100)
 
 
 def main() -> None:

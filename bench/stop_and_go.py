@@ -8,7 +8,6 @@ intervals that hold the truth (M, c, the inertia's diagonal), and answers that a
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from scipy.signal import lfilter
+from shared import head_table, parser_of, show
 
 from estimators.inertial import (
     Ellipsoid,
@@ -29,7 +28,6 @@ from estimators.inertial import (
     inertial_equations,
     least_squares_inertia,
 )
-from scenarios.cli.terminal import open_table
 from scenarios.study.meshes import stated_inertia
 from testbed.errors import HeftError
 from testbed.objects.conversion.convert import convert_mesh
@@ -53,15 +51,14 @@ class Tool:
 
 def main() -> None:
     """Print a row per sensor and method."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, draws=10)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--draws", type=int, default=10)
     args = parser.parse_args()
     tools = [read_tool(each) for each in sorted(args.folder.iterdir()) if (each / "stop_and_go.npz").exists()]
     told = {tool.name: len(tool.parts) for tool in tools}
     print(f"{len(tools)} tools, parts of each: {told}")
     columns = ("sensor", "method", "M, %", "c, mm", "inertia, %", "90 % hold", "physical, %", "no answer")
-    table = open_table(*columns, left=("sensor", "method"), box=box.SIMPLE)
+    table = head_table(*columns, left=("sensor", "method"), box=box.SIMPLE)
     for sensing in map(preset, SENSING):
         draws = 1 if sensing.name == "ideal" else args.draws
         for method in METHODS:
@@ -72,7 +69,7 @@ def main() -> None:
             none = len(found) - len(rows)
             numbers = [f"{each:.2g}" for each in middle]
             table.add_row(sensing.name, method, *numbers, f"{100 * hold:.0f}", f"{100 * physical:.0f}", str(none))
-    Console(width=110).print(table)
+    show(table, width=110)
 
 
 def answers(tool: Tool, method: str, sensing: Sensing, draws: int) -> Iterator[InertialEstimate | None]:

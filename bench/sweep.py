@@ -17,13 +17,11 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from rich import box
-from rich.console import Console
+from shared import head_table, parser_of, show
 
 from estimators.base import Estimate
 from estimators.testing.analytic_world import record
 from scenarios import run_scenario
-from scenarios.cli.terminal import open_table
 from scenarios.config import Scenario
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
@@ -105,24 +103,21 @@ def peak(who: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=1000)
-    parser.add_argument("--estimates", type=int, default=12_000)
-    parser.add_argument("--workers", type=int, default=2)
+    parser = parser_of(__doc__, trials=1000, estimates=12_000, workers=2)
     parser.add_argument("--into", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.into:
         print(json.dumps(run(given.into, given.trials, given.estimates, given.workers)))
         return
-    table = open_table("run", "estimates", "s", "MiB at a tenth", "MiB at most", "MiB of a worker", left=("run",),
-                       box=box.SIMPLE_HEAD)  # fmt: skip
+    columns = ("run", "estimates", "s", "MiB at a tenth", "MiB at most", "MiB of a worker")
+    table = head_table(*columns, left=("run",))
     with tempfile.TemporaryDirectory() as folder:
         for name in ("first", "again"):
             command = [sys.executable, __file__, "--into", folder, *sys.argv[1:]]
             done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
             found = json.loads(done.stdout.splitlines()[-1])
             table.add_row(name, *(f"{found[key]:.4g}" for key in ("estimates", "s", "tenth", "most", "worker")))
-    Console(width=100).print(table)
+    show(table, width=100)
 
 
 if __name__ == "__main__":

@@ -26,11 +26,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from shared import head_table, show
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from estimators.evaluation.metrics import normalized_absolute_difference
 from scenarios.cli.main import main as heft
 from scenarios.results.estimates import load_results
@@ -44,7 +41,7 @@ from testbed.objects.model import PAD_WIDTH, Grasp, MassDistribution, ObjectMode
 from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
-from tests.fakes.analytic_push import drag_of  # pyright: ignore[reportMissingImports]
+from tests.fakes.analytic_push import drag_of
 
 FORCES = (30.0, 60.0, 120.0)
 """Grip forces [N]."""
@@ -138,7 +135,7 @@ def printed(title: str, label: str, groups: dict[str, pd.DataFrame]) -> None:
     """Print a row for each group of outcomes."""
     forces = [f"{force:g} N, %" for force in FORCES]
     columns = (label, "answers", "NAD, %", "c off, mm", *forces, "at goal, %", "from goal, mm")
-    table = Table(*columns, title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = head_table(*columns, left=columns, title=title, padding=(0, 1, 0, 0))
     for name, rows in groups.items():
         level, off = np.array(rows["lifts"].tolist()), np.array(rows["pushes"].tolist())
         table.add_row(
@@ -150,7 +147,7 @@ def printed(title: str, label: str, groups: dict[str, pd.DataFrame]) -> None:
             f"{100 * (off < NEAR).mean():.0f}",
             f"{1e3 * np.median(off):.1f}",
         )
-    Console(width=120).print(table)
+    show(table, width=120)
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ of part masses (of M, c and the inertia where a method knows no parts) that hold
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from rich import box
-from rich.console import Console
+from shared import head_table, parser_of, show
 from stop_and_go import judged
 
 from estimators.action_selection.pushes import RandomPushes
@@ -35,7 +34,6 @@ from estimators.inertial import (
     true_body,
 )
 from estimators.support_models.estimator import SupportAware
-from scenarios.cli.terminal import open_table
 from scenarios.config import load_scenario
 from scenarios.study.meshes import with_meshes
 from testbed.actions.accelerate import Accelerate
@@ -83,10 +81,6 @@ def mallet(folder: Path) -> ObjectModel:
     path = folder / "mallet.stl"
     trimesh.util.concatenate([handle, head]).export(path)
     return convert_mesh(path, unit="m", parts="bodies").model((0.1, 0.3))
-
-
-def silent(stage: str, done: int, total: int, failed: int = 0) -> None:
-    """Progress that nobody sees."""
 
 
 def trials_of(model: ObjectModel, policy: ActionPolicy, refused: dict[Action, str], place: str, draw: int) -> Trials:
@@ -197,16 +191,15 @@ def answers(trial: Felt) -> Iterator[tuple[str, str, Judged | None]]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, draws=3)
     parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--draws", type=int, default=3, help="draws of the sensor and of the lab")
     given = parser.parse_args()
     rows: dict[tuple[str, str, str], list[Judged | None]] = {}
     with tempfile.TemporaryDirectory() as folder:
         if given.folder is None:
             models = [mallet(Path(folder))]
         else:
-            scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), silent)
+            scenario, _ = with_meshes(load_scenario("tools")[1], given.folder, Path(folder), lambda *_, **__: None)
             models = [load_object(path) for path in scenario.objects]
     for model in models:
         print(f"{model.name}: {len(model.shape.grasps)} grasps", flush=True)
@@ -215,7 +208,7 @@ def main() -> None:
                 rows.setdefault((label, used, method), []).append(one)
     numbers = ("M, %", "c, mm", "inertia, %", "part masses, %", "90 % hold", "none")
     names = ("world", "trials", "method")
-    table = open_table(*names, *numbers, left=names, box=box.SIMPLE)
+    table = head_table(*names, *numbers, left=names, box=box.SIMPLE)
     for key, found in rows.items():
         known = [one for one in found if one is not None]
         middle = (
@@ -224,7 +217,7 @@ def main() -> None:
         nads = [one[3] for one in known if np.isfinite(one[3])]
         hold = f"{100 * np.mean([one[4] for one in known]):.0f}" if known else "-"
         table.add_row(*key, *middle, f"{np.median(nads):.2g}" if nads else "-", hold, str(len(found) - len(known)))
-    Console(width=120).print(table)
+    show(table, width=120)
 
 
 if __name__ == "__main__":

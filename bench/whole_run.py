@@ -13,10 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich import box
-from rich.console import Console
-
-from scenarios.cli.terminal import open_table
+from shared import head_table, show
 
 PARTS = {
     "_tried": "trials: planning, scene, physics, writing",
@@ -100,7 +97,7 @@ def main() -> None:
     for task in tasks:
         seconds[task.name] += task.cpu
     driver, workers = core_seconds(resource.RUSAGE_SELF), core_seconds(resource.RUSAGE_CHILDREN)
-    table = open_table("part", "core-seconds", left=("part",), box=box.SIMPLE_HEAD)
+    table = head_table("part", "core-seconds", left=("part",))
     for name, part in PARTS.items():
         table.add_row(part, f"{seconds[name]:.1f}")
     table.add_row("start of the workers", f"{workers - sum(seconds.values()):.1f}")
@@ -108,12 +105,8 @@ def main() -> None:
     table.add_row("whole", f"{driver + workers:.1f}")
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     after = end - max(task.end for task in tasks if task.name == "estimate")
-    console = Console(width=100)
-    console.print(table)
-    console.print(
-        f"{end - begin:.0f} s of wall time, {after:.1f} s of it after the last estimate; {peak:.0f} MiB in a worker"
-    )
-    console.print(f"{estimates} estimates, {estimates / seconds['estimate']:.1f} a core-second")
+    wall = f"{end - begin:.0f} s of wall time, {after:.1f} s of it after the last estimate; {peak:.0f} MiB in a worker"
+    show(table, wall, f"{estimates} estimates, {estimates / seconds['estimate']:.1f} a core-second", width=100)
 
 
 if __name__ == "__main__":

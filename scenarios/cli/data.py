@@ -50,7 +50,9 @@ def import_(
             action as *.found.toml, to be reviewed and imported; nothing is imported.
         grasps: with --find, grasps of the first actions, where the motion is consistent with several.
     """
-    if find or grasps:
+    if grasps and not find:
+        raise InvalidValueError("--grasps", list(grasps), "with --find alone; a mapping names the grasp of its action")
+    if find:
         from scenarios.cli.find import show_found
 
         if not show_found(mapping, logs, grasps):
@@ -71,7 +73,10 @@ def import_(
     bad, name = sum(not log.trajectory.ok for log in imported), model.name
     state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
     scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
-    after = f"correct {mapping}, its units and signs too, and import again" if wrong else f"heft estimate {out}{scale}"
+    useless = all(not log.trajectory.ok or _shows_nothing(log.trajectory) for log in imported)
+    after = f"heft estimate {out}{scale}"
+    if wrong or useless:
+        after = f"correct {mapping}, its units and signs too, and import again"
     print(f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {state}; next: {after}")
     if bad or wrong:
         sys.exit(1)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MOST_LISTED = 8
 """Causes in the table."""
-NOTHING = "no usable trial: none slides, turns or is pushed at constant speed"
+NOTHING = "no usable trial slides, turns or is pushed at constant speed"
 
 
 def doctor(
@@ -26,8 +26,9 @@ def doctor(
 ) -> None:
     """Diagnose a setup from how its trials disagree.
 
-    DIR is a results folder with estimates, from `heft run` or from `heft estimate` on imported or robot trials. For
-    each object, support and sensor, the joint posterior (method bayes) is fitted and the misfit printed: about 1 if the
+    DIR is a results folder with estimates, from `heft run` or from `heft estimate` on imported or robot trials. First
+    come trials whose motion or friction contradicts their actions, with what to correct. Otherwise, for each object,
+    support and sensor, the joint posterior (method bayes) is fitted and the misfit printed: about 1 if the
     masses explain the trials within the stated errors. Otherwise three causes are tested in order: another support (one
     rigid body, or springs between blocks); a single inconsistent trial; an error of the setup larger than stated, with
     its size and what to check. A figure is written to DIR/figures.
@@ -64,8 +65,8 @@ def doctor(
             continue
         asked.add(keys)
         title, trials, found = _diagnosed(folder, row)
-        console.print(f"{title}: {NOTHING if found is None else found.verdict}", style="bold")
-        if found is not None:
+        console.print(f"{title}: {found if isinstance(found, str) else found.verdict}", style="bold")
+        if not isinstance(found, str):
             if found.named or not found.misfit.by_chance:
                 console.print(_table(found))
             console.print(f"trials that fit least: {_worst(found, trials)}")
@@ -76,19 +77,26 @@ def doctor(
         raise InvalidValueError("--draw", draw, "a draw that the folder has estimates of")
 
 
-def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | None]:
-    """Title of an experiment, its trials in words, and their diagnosis; None where none is usable."""
+def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | str]:
+    """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
     from estimators.posterior.diagnosis import diagnose
     from scenarios.results.store import Store
     from scenarios.results.trials import sensed_trials
     from scenarios.views.values import estimate_view
+    from testbed.robot.calibration.motion import wrong_motion
     from testbed.sensing.windows import weight_of
 
-    shape = estimate_view(folder, row).shape
-    weighing, *moved = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
+    shape, store, keys = estimate_view(folder, row).shape, Store(folder), tuple(row["trial_keys"])
+    weighing, *moved = sensed_trials(store, keys, row["sensing"], int(row["seed"]))
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
-    words = [f"{i}: {trial.action.describe(shape)}" for i, trial in enumerate(moved, start=1)]
-    return title, words, diagnose(shape, weight_of(weighing), moved)
+    logs = [store.trajectory(key).provenance.get("log") for key in keys[1:]]
+    words = [
+        f"{i}: {trial.action.describe(shape)}" + (f", {log}" if log else "")
+        for i, (trial, log) in enumerate(zip(moved, logs, strict=True), start=1)
+    ]
+    if wrong := wrong_motion(shape, moved):
+        return title, words, "; ".join(["the trials are not what their actions say", *wrong])
+    return title, words, diagnose(shape, weight_of(weighing), moved) or NOTHING
 
 
 def _worst(found: Diagnosis, trials: list[str]) -> str:

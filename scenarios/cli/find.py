@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scenarios.cli.terminal import open_console
+from scenarios.results.logs import placed_in
 from testbed.actions.push import Push
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import write_text
@@ -40,7 +41,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
         try:
             found = find_segments(log, mapping, grasps)
         except HeftError as error:
-            failed.append(error)
+            failed.append(placed_in(str(log), error))
             continue
         console.print(_table(log, found))
         known &= _say_grasps(found)
@@ -65,7 +66,7 @@ def _table(log: Path, found: Sequence[Segment]) -> Table:
     for segment in found:
         cells = [f"{segment.from_s:.1f}", f"{segment.to_s:.1f}", segment.kind]
         if segment.action is not None:
-            center = segment.center and f"({1e3 * segment.center[0]:.0f}, {1e3 * segment.center[1]:.0f})"
+            center = segment.center and f"({round(1e3 * segment.center[0])}, {round(1e3 * segment.center[1])})"
             cells[2] = _kind(segment)
             cells += [*_extent(segment), center or "", _place(segment)]
             cells.append(f"{segment.tare[0]:.1f}" if segment.tare else "none")

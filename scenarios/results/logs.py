@@ -78,16 +78,18 @@ def import_logs(
     ]
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
     support = support_of(model.shape, support_name)
+    sources = [_source(path, entry, content, mapping.parent) for path, entry in entries]
+    for i, (path, _) in enumerate(entries):
+        if sources[i] in sources[:i]:
+            first = entries[sources.index(sources[i])][0]
+            raise InvalidValueError("LOG", str(path), f"each recording once: {first} is the same")
     with exclusive(out):
         store = Store(out.absolute())
         store.remove_leftovers()
         imported = []
         contents: dict[str, set[str]] = {}
-        for (path, entry), trajectory in zip(entries, trajectories, strict=True):
-            table = content.for_entry(entry)
-            checksum = _checksum([path, *([mapping.parent / table.sensor.file] if table.sensor.file else [])])
-            said = {"log": path.name, "sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
-            said |= {"stretch": entry.stretch} if entry.stretch else {}
+        for (path, entry), trajectory, source in zip(entries, trajectories, sources, strict=True):
+            checksum, said = str(source["sha256"]), {"log": path.name} | source
             key = _put(store, Trial(model, trajectory.action, support), trajectory, {"import": said})
             contents.setdefault(checksum, set()).add(key)
             imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key))
@@ -104,6 +106,14 @@ def _read(path: Path, entry: LogMap, mapping: Path, delay: Delay | None, done: C
         done()
 
 
+def _source(path: Path, entry: LogMap, content: Mapping, folder: Path) -> dict[str, Any]:
+    """Content of a trial's files, and how it is read."""
+    table = content.for_entry(entry)
+    checksum = _checksum([path, *([folder / table.sensor.file] if table.sensor.file else [])])
+    read: dict[str, Any] = {"sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
+    return read | ({"stretch": entry.stretch} if entry.stretch else {})
+
+
 def _place(path: Path, entry: LogMap) -> str:
     return ", ".join(filter(None, (str(path), entry.stretch)))
 
@@ -113,9 +123,13 @@ def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
     try:
         return read()
     except HeftError as error:
-        lines = str(error).splitlines()
-        named = [line if Path(line.split(": ")[0]).exists() else f"{_place(path, entry)}: {line}" for line in lines]
-        raise LogError("\n".join(named)) from None
+        raise placed_in(_place(path, entry), error) from None
+
+
+def placed_in(place: str, error: HeftError) -> LogError:
+    """The error, each line beginning with a log's place where it names no file."""
+    lines = str(error).splitlines()
+    return LogError("\n".join(line if Path(line.split(": ")[0]).exists() else f"{place}: {line}" for line in lines))
 
 
 def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any]) -> str:

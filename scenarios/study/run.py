@@ -139,7 +139,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
     other = [field for field in held if not _asked_again(field, held[field], asked.get(field))]
     kept = found.get("secret", "")
     if not kept or secret not in (None, kept):
-        other.append("secret" if kept else "draws without a secret, by heft 0.1.0")
+        other.append("secret" if kept else "measured trials, or draws without a secret by heft 0.1.0")
     if contents := found.get("contents"):
         now = _contents(scenario)
         other += [f"{name}, whose file has changed" for name, key in contents.items() if now.get(name, key) != key]

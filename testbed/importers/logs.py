@@ -151,7 +151,7 @@ def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Se
     if len(time) > 2 and not steps.any():
         allowed = 'a clock that runs; of messages, [time] column = "log_time" is when each was recorded'
         raise LogError(f"{path}: {field}: all {len(time)} samples have the time {time[0]:g} s; allowed: {allowed}")
-    first = np.concatenate([[True], steps > 0])  # the first of samples with one stamp is the nearest to it
+    first = np.concatenate([[True], steps > 0])[: len(time)]  # the first of samples with one stamp is the nearest to it
     shared = int((~first[1:] & (np.diff(values, axis=0) != 0).any(axis=1)).sum())
     if shared > _MOST_SHARED * len(time):
         raise LogError(

@@ -125,6 +125,8 @@ def without_frozen(pose: Pose) -> Pose:
     """
     (stamps, place), turned = pose
     quaternion = turned.as_quat()
+    turns_over = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0  # q and -q are one rotation
+    quaternion[1:] *= np.cumprod(np.where(turns_over, -1.0, 1.0))[:, None]
     steps = np.abs(np.diff(np.hstack([place, quaternion]), axis=0)).max(axis=1)
     kept = np.full(len(stamps), True)
     for run in runs(steps == 0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -34,6 +35,8 @@ MOST_LETTERS = 2**17
 """Longest line of a table that is read."""
 SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
+_RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
+"""What pandas says of a row that is longer than those before, its line counted from 1."""
 EPISODE = "episode_index"
 """Column of LeRobot's data that says which episode a row is of."""
 
@@ -111,7 +114,7 @@ class TableLog:
             return ordered(self.path, field, stamps, values, names)
         except LogError as error:
             if EPISODE in self._names and EPISODE not in self._where:
-                allowed = f"one episode, as where = {{ {EPISODE} = 0 }} in its [[logs]] table"
+                allowed = f"one episode, as where = {{ {EPISODE} = 0 }} in the mapping, or in a [[logs]] table of each"
                 raise LogError(f"{error}; it has episodes: allowed: {allowed}") from None
             raise
 
@@ -169,7 +172,12 @@ class TableLog:
         if len(wrong):
             at = int(wrong[0])
             got = f"{self.path}: {self._row} {cells.index[at]}: {name}: got {short(cells.iloc[at])}"
-            raise LogError(f"{got}; allowed: {allowed}, or blank")
+            hint = ""
+            if self._decimal != "," and re.fullmatch(r"[-+]?\d+,\d+", str(cells.iloc[at]).strip()):
+                hint = '; of decimal commas, decimal = "," in the mapping'
+            elif at == 0 and len(wrong) == 1:
+                hint = "; a line of units below the names is no row: delete it"
+            raise LogError(f"{got}; allowed: {allowed}, or blank{hint}")
 
 
 def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[int], pd.Series]]:
@@ -192,6 +200,14 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
             skipinitialspace=True,
             skip_blank_lines=False,
         )
+    except pd.errors.ParserError as error:
+        if not (ragged := _RAGGED.search(str(error))):
+            raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+        expected, at, found = map(int, ragged.groups())
+        allowed = "rows of equal length; a line above the names of the columns is deleted, or begins with `comment`"
+        raise LogError(
+            f"{path}: line {kept[at - 1] + 1}: {found} columns, after {expected}; allowed: {allowed}"
+        ) from None
     except (OSError, ValueError) as error:
         raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
     table.index = pd.Index(np.array(kept[: len(table)]) + 1)

@@ -16,6 +16,8 @@ from testbed.sensing.compensation import tare_biases, tare_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import check_positive_fields, freeze_arrays
 
+ANOTHER_UNIT = 30.0
+"""Drift of the torque over its limit from which, beside a steady force, its unit is in doubt. Ours."""
 _AXES = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 
@@ -70,9 +72,12 @@ class Drift:
         """Reason why the trial is no data, in a sentence; empty within the limit."""
         if self.force <= limit.force and self.torque <= limit.torque:
             return ""
+        remedy = "let the sensor warm up, and do the trial again"
+        if self.torque > ANOTHER_UNIT * limit.torque and self.force <= limit.force:
+            remedy = f"its torque alone: is that in N m? Otherwise {remedy}"
         return (
             f"drift: the sensor's zero moved by {self.force:.2f} N and {self.torque:.4f} N m; allowed: "
-            f"{limit.force:g} N and {limit.torque:g} N m; let the sensor warm up, and do the trial again"
+            f"{limit.force:g} N and {limit.torque:g} N m; {remedy}"
         )
 
 

@@ -39,6 +39,19 @@ def columns(t: Trajectory) -> dict[str, np.ndarray]:
     return said
 
 
+def tared_again(t: Trajectory, drift: float) -> Trajectory:
+    """The record, after which the hand goes up again where it came down; its f_y has drifted by then, N."""
+    approach = np.flatnonzero(t.phase <= Phase.APPROACH)[::-1]
+    series = series_of(t, np.append(np.arange(len(t.time_s)), approach))
+    up = slice(len(t.time_s), None)
+    series["tcp_position"][up, :2] = t.tcp_position[-1, :2]
+    series["sensor_orientation"][up] = t.sensor_orientation[-1]
+    series["tcp_velocity"][up] = 0.0
+    series["time_s"] = np.arange(len(series["time_s"])) / 100
+    series["sensor_wrench"][up, 1] += drift
+    return replace(t, **series)
+
+
 def mapping_of(t: Trajectory, **changes: Any) -> dict[str, Any]:
     """The mapping to `columns`; None removes a table."""
     assert t.tool is not None

@@ -9,14 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
-from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError
 from testbed.importers.logs import LogError, Series
 from testbed.importers.phases import MOST_LEFT_OUT, without_faults
 from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import CalibrationError, StaticPose, calibrate
 from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Trajectory
+from testbed.trajectory import Phase, Trajectory
 from tests.fakes.lab_bench import imported, mapping_of, write_csv
 from tests.fakes.static_hand import POSES, off, recorded
 
@@ -131,6 +130,21 @@ def test_what_cannot_be_read_says_why(tmp_path: Path):
     path.write_bytes(table.rename(columns={"qw": "W\u00e4rme"}).to_csv(index=False).encode("latin-1"))
     with pytest.raises(HeftError, match=r"line 1: byte 0xe4 is not UTF-8; save the table as UTF-8"):
         imported(path, mapping)
+    names, *rows = table.to_csv(index=False).splitlines()
+    for text, said in (
+        (
+            ["Recorded by a logger v2.1", names, *rows],
+            r"line 2: \d+ columns, after 1; allowed: .*a line above the names",
+        ),
+        ([names, "s" + ",N" * names.count(","), *rows], r"line 2: \w+: got '[sN]'; .*a line of units below the names"),
+        (["# a", names, *rows[:9], rows[9] + ",1"], r"line 12: \d+ columns, after \d+"),
+        ([names], "got 0 samples at different times"),
+        ([names.replace(",", ";"), rows[0].replace(",", ";").replace(".", ",")], r'decimal commas, decimal = ","'),
+    ):
+        path.write_text("\n".join(text) + "\n", encoding="utf-8")
+        more = {"separator": ";"} if ";" in text[-1] else {"comment": "#"} if text[0] == "# a" else {}
+        with pytest.raises(HeftError, match=said):
+            imported(path, mapping | more)
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", encoding="ascii")
     with pytest.raises(HeftError, match="git lfs pull"):
         imported(path, mapping)
@@ -205,13 +219,29 @@ def test_a_stuck_component_is_named_in_a_calibration(tmp_path: Path):
         recorded_poses(*changed(tmp_path, lambda table: table.assign(fy=1.25)))
 
 
-def test_a_pose_that_freezes_amid_a_turn_is_a_gap(tmp_path: Path):
-    turn = next(t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate))
-    log = write_csv(tmp_path / "log.csv", turn)
-    table = pd.read_csv(log)
-    at = int(np.flatnonzero(turn.segment == 0)[40])
+def frozen(folder: Path, count: int) -> tuple[Path, pd.DataFrame, int]:
+    """The turn's log with its pose as it was at a row amid its first way, in some rows after that; and that row."""
+    log, _, table = logged(folder)
+    at = int(np.flatnonzero(TURN.segment == 0)[40])
     pose = [name for name in table if str(name)[0] in "pq"]
-    table.loc[at : at + 20, pose] = table.loc[at, pose].to_numpy()
+    table.loc[at : at + count, pose] = table.loc[at, pose].to_numpy()
+    return log, table, at
+
+
+def test_a_pose_that_freezes_amid_a_turn_is_a_gap(tmp_path: Path):
+    log, table, _ = frozen(tmp_path, 20)
     table.to_csv(log, index=False)
     with pytest.raises(LogError, match=r"silent for 0\.21 s at .*repeated ones"):
-        imported(log, mapping_of(turn))
+        imported(log, mapping_of(TURN))
+
+
+def test_a_rest_ends_with_no_jump_where_a_quaternion_changes_its_sign(tmp_path: Path):
+    """q and -q are one rotation: neither is a pose that stands while the hand moves on, nor a step of it."""
+    log, mapping, table = logged(tmp_path)
+    rest = np.flatnonzero(TURN.phase == Phase.SETTLE)
+    pose = [name for name in table if str(name)[0] in "pq"]
+    table.loc[rest, pose] = table.loc[rest[0], pose].to_numpy()
+    for at in (int(rest[-1]) - 5, int(np.flatnonzero(TURN.segment == 0)[40])):
+        table.loc[at:, ["qw", "qx", "qy", "qz"]] *= -1
+    table.to_csv(log, index=False)
+    agree(imported(log, mapping))

@@ -32,6 +32,7 @@ from tests.fakes.lab_bench import (
     mapping_of,
     phases_of,
     refused,
+    tared_again,
     write_csv,
     write_joined_csv,
     write_messages,
@@ -114,16 +115,7 @@ def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureReq
 
 
 def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path: Path):
-    """The hand goes up again where it came down, and its sensor has drifted by then."""
-    approach = np.flatnonzero(turn.phase <= Phase.APPROACH)[::-1]
-    turned = series_of(turn, np.append(np.arange(len(turn.time_s)), approach))
-    up = slice(len(turn.time_s), None)
-    turned["tcp_position"][up, :2] = turn.tcp_position[-1, :2]
-    turned["sensor_orientation"][up] = turn.sensor_orientation[-1]
-    turned["tcp_velocity"][up] = 0.0
-    turned["time_s"] = np.arange(len(turned["time_s"])) / 100
-    turned["sensor_wrench"][up] += [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
-    again = import_csv(tmp_path, replace(turn, **turned))
+    again = import_csv(tmp_path, tared_again(turn, 0.5))
     assert again.phase[-1] == Phase.TARE
     assert again.figures["drift_N"] == pytest.approx(0.5, abs=0.1)
     seconds = again.time_s[-1] - 0.5  # between the ends of the two tares

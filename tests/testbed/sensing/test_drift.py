@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from testbed.errors import InvalidValueError
 from testbed.robot.config import RobotSettings
 from testbed.sensing.compensation import compensate, tare_biases
-from testbed.sensing.drift import DriftLimit, drift_of, judge_drift
+from testbed.sensing.drift import Drift, DriftLimit, drift_of, judge_drift
 from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import steady_windows
@@ -165,3 +165,9 @@ def test_a_real_trial_says_how_its_zero_may_have_walked(tmp_path):
     assert creeping.sensor_drift_std[1] > 1.5 * ASSUMED[1]
     (window,) = steady_windows(creeping)
     assert np.sqrt(window.since_tare.mean() * window.drift_covariance[1, 1]) > 0.012 * window.since_tare.mean() / 2
+
+
+@pytest.mark.parametrize(("force", "torque", "doubted"), [(0.03, 0.7, True), (0.03, 0.2, False), (0.5, 0.7, False)])
+def test_a_torque_that_drifts_alone_has_its_unit_doubted(force, torque, doubted):
+    said = Drift(np.zeros(6), np.array([force, 0, 0, 0, torque, 0]), 20.0).exceeds(DriftLimit())
+    assert ("is that in N m? Otherwise let" in said) == doubted and "let the sensor warm up" in said

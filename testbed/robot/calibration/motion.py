@@ -17,6 +17,8 @@ from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
+from testbed.worlds.presets import UNSTATED
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 LEVER = 0.005
 """Distance of pivot and grasp from which a turn shows the closing direction [m]."""
@@ -47,7 +49,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     mirrored = named * [1, -1]
     fits = {kind: _fit(seen, about) for kind, about in (("stated", named), ("mirrored", mirrored))}
     kind = min(fits, key=lambda k: np.median(fits[k][2]) + (0.001 if k == "mirrored" else 0.0))
-    findings = []
+    setup, findings = _stated(steady), []
     if kind == "mirrored" and len(turned) > 1:
         off = float(np.median(fits["stated"][2]))
         text = (
@@ -57,9 +59,10 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     else:
         kind = "stated"
     angle, offset, left, spread = fits[kind]
-    findings += _common(angle, offset, spread, named)
+    findings += _common(angle, offset, spread, named, setup)
+    allowed = CENTER_ALLOWED + SURE * setup.grasp_offset
     for (action, _), at, miss in zip(turned, seen, left, strict=True):
-        if miss > CENTER_ALLOWED:
+        if miss > allowed:
             findings.append(_wrong(shape, action, rotation_2d(-angle) @ (at - offset), miss))
     if not any(f.what == "center" for f in findings):
         worst = float(left.max())
@@ -71,7 +74,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
     """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well."""
     gripped = [t for t in trajectories if t.action.dragged_steadily]
-    return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t))]
+    return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated([t]))]
 
 
 def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
@@ -82,6 +85,12 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     found = check_wrenches(t for t in trajectories if t.ok)
     sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
+
+
+def _stated(trajectories: Sequence[Trajectory]) -> SetupErrors:
+    """Errors of the setup that trials state; none where nothing is stated."""
+    stated = [t.setup for t in trajectories if t.setup != UNSTATED]
+    return SetupErrors.largest(stated) if stated else EXACT_SETUP
 
 
 def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:
@@ -115,19 +124,19 @@ def _fit(
     return angle, offset, left, float(np.sqrt((left[good] ** 2).sum() / freedom))
 
 
-def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray) -> list[Finding]:
+def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray, setup: SetupErrors) -> list[Finding]:
     """Findings on what all turns share."""
     lever, count = float(np.sqrt(((named - named.mean(axis=0)) ** 2).sum())), len(named)
     findings = []
     if (named**2).sum() > LEVER**2:
         error = spread / max(lever, float(np.linalg.norm(named[0])) if count < 3 else lever, 1e-3)
-        ok = abs(angle) <= CLOSING_ALLOWED + SURE * error
+        ok = abs(angle) <= CLOSING_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle])
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
         text += "" if ok else f": correct closing_deg by {np.degrees(angle):+.0f}, or the grasps' angles"
         findings.append(Finding("closing direction", bool(ok), angle, text))
     if count > 2 or not findings:
         error, far = spread / count**0.5, float(np.linalg.norm(offset))
-        ok = far <= TCP_ALLOWED + SURE * error
+        ok = far <= TCP_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_offset, setup.grasp_offset])
         x, y = 1e3 * offset
         text = (
             f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and across"

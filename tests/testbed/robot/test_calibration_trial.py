@@ -14,11 +14,13 @@ from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.robot.calibration.motion import check_motion
+from testbed.robot.calibration.motion import check_motion, wrong_motion
 from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
+from testbed.worlds.presets import UNSTATED
+from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.helpers.records import coloured_noise
 
 COVARIANCE = np.diag(np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 2e-4]) ** 2)
@@ -165,6 +167,24 @@ def test_a_tcp_beside_its_place_is_told_by_how_much():
         trials.append(replace(trial, tcp_velocity=velocity))
     found = wrong_in(trials)
     assert set(found) == {"TCP"} and "(-3.0, +1.0)" in found["TCP"]
+
+
+def test_stated_errors_of_the_setup_are_allowed_and_the_defaults_are_not():
+    """A TCP 3 mm off, and a force 6 deg off the motion, where a setup states as much."""
+    stated = SetupErrors(tcp_offset=0.0015, anisotropy=0.05)
+    trials = turns()
+    for at, trial in enumerate(trials):
+        angle = trial.object_pose[:, 2] + OBJECT.shape.grasps[turn_of(trial).grasp].angle
+        by = np.einsum("nij,j->ni", rotation_2d(angle), np.array([0.003, -0.001]))
+        velocity = trial.tcp_velocity.copy()
+        velocity[:, :2] += perpendicular(by) * trial.object_velocity[:, 2:]
+        trials[at] = replace(trial, tcp_velocity=velocity)
+    slide = analytic_trial(OBJECT, Slide(0, 0.3))
+    wrench = slide.wrench_on_object_world.copy()
+    wrench[:, :2] = wrench[:, :2] @ rotation_2d(np.radians(6.0)).T
+    trials.append(replace(slide, wrench_on_object_world=wrench))
+    for setup, kinds in ((EXACT_SETUP, 2), (UNSTATED, 2), (stated, 0)):
+        assert len(wrong_motion(OBJECT.shape, [replace(t, setup=setup) for t in trials])) == kinds
 
 
 def test_one_wrong_grasp_is_named_with_the_one_that_would_fit():

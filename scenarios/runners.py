@@ -13,6 +13,7 @@ from testbed.actions.rotate import Rotate
 from testbed.errors import HeftError, InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ROBOTIQ_2F85, ObjectModel, ObjectShape
 from testbed.plugins import RUNNER, configured, find_class, placed_errors, source_hash
+from testbed.sensing.compensation import tare_samples
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Trajectory
 from testbed.trial import RIGID, Trial, TrialRunner
@@ -67,12 +68,14 @@ class NamedRunner:
             record = runner.run(trial)
         if not isinstance(record, Trajectory):
             raise InvalidValueError(f"{self.runner}.run()", record, "a Trajectory of testbed.trajectory")
-        simulated = record.simulated
-        if simulated and record.tool is None and trial.action.moves:
-            allowed = (
-                "the Tool below the sensor: a sensor's errors are drawn on a simulated record before the tool is off"
-            )
-            raise InvalidValueError(f"{self.runner}.run().tool", None, allowed)
+        if record.action != trial.action:
+            raise InvalidValueError(f"{self.runner}.run().action", record.action, f"the trial's own: {trial.action}")
+        if record.simulated and trial.action.moves:
+            if record.tool is None:
+                allowed = "the Tool below the sensor, whose errors are drawn on a simulated record with its tool"
+                raise InvalidValueError(f"{self.runner}.run().tool", None, allowed)
+            if not len(tare_samples(record)):
+                raise InvalidValueError(f"{self.runner}.run().phase", "no sample of TARE", "a tare before the grip")
         return record
 
 

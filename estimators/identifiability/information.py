@@ -130,7 +130,12 @@ def expected(
         actions: actions in order; the object is weighed besides.
         sensing: errors of the sensor.
         assumptions: support model and model errors.
+
+    Raises:
+        InvalidValueError: the name of a sensor in place of its errors.
     """
+    if not isinstance(sensing, Sensing):
+        raise InvalidValueError("expected.sensing", sensing, 'a Sensing, such as heft.preset("ft300s")')
     trials = predicted_information(shape, distribution, actions, sensing, assumptions or Assumptions())
     setup = EXACT_SETUP if assumptions is None else assumptions.setup
     return trials.report(shape, distribution, Weighing.of(shape, max(sensing.scale, 1e-6), setup))

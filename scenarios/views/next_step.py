@@ -61,7 +61,7 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     known: Any = SimpleNamespace(estimate=lambda *_: found)  # the answer that is there
     policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=known)
     decision = policy.decide(shape, trials)
-    sure = f"the masses are known to {100 * decision.nad:.2g} % of the whole, taken together"
+    sure = f"the expected error of the masses, taken together, is {100 * decision.nad:.2g} % of the whole"
     if decision.action is None or (decision.answered and decision.nad < ENOUGH):
         if decision.answered and all(trial.setup.none for trial in trials):
             return (

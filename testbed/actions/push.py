@@ -86,7 +86,13 @@ class Push(Action, kind="push"):
 
     @classmethod
     def into(cls, face: Face, part: float = 0.5, angle: float = 0.0, curvature: float = 0.0) -> Self:
-        """Push into a face at a part of its length, at an angle from its normal [rad]: straight into its middle."""
+        """Push into a face at a part of its length, at an angle from its normal [rad]: straight into its middle.
+
+        Raises:
+            InvalidValueError: a part that is not from 0 to 1.
+        """
+        if not (is_number(part) and 0 <= part <= 1):
+            raise InvalidValueError("Push.into.part", part, "0 to 1, from one end of the face to the other")
         x, y = face.begin + part * (face.end - face.begin)
         direction = math.atan2(-face.normal[1], -face.normal[0]) + angle
         return cls((float(x), float(y)), float(direction), float(curvature))

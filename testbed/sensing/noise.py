@@ -39,7 +39,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         InvalidValueError: a trajectory with a sensor's errors.
     """
     if "sensing" in clean.provenance:
-        raise InvalidValueError("clean", "a trajectory with a sensor's errors", "a simulated trial of a perfect sensor")
+        allowed = "a simulated trial of a perfect sensor, as run_clean gives it"
+        raise InvalidValueError("clean", "a trajectory with a sensor's errors", allowed)
     rng, draw = np.random.default_rng(seed), WorldDraw.in_record(clean.provenance)
     provenance = {name: clean.provenance[name] for name in ("runner",) if name in clean.provenance}
     provenance["sensing"] = "drawn"

@@ -13,6 +13,8 @@ from matplotlib.ticker import LogLocator
 from estimators.evaluation.statistics import AXIS, Row, axis_values, methods_of
 from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
 
+BEYOND = 1.5
+"""End of a logarithmic axis with zeros, over the largest value."""
 WIDE_RANGE = 20.0
 """Ratio of the largest to the smallest value from which on an axis is logarithmic."""
 FEW = 8
@@ -146,9 +148,13 @@ def _scale(axis: Axis, values: np.ndarray) -> None:
     positive = values[values > 0]
     if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
         return
-    set_scale = axis.axes.set_xscale if axis is axis.axes.xaxis else axis.axes.set_yscale
+    across = axis is axis.axes.xaxis
+    set_scale, set_limits = (
+        (axis.axes.set_xscale, axis.axes.set_xlim) if across else (axis.axes.set_yscale, axis.axes.set_ylim)
+    )
     if len(positive) < len(values):
-        set_scale("symlog", linthresh=positive.min())
+        set_scale("symlog", linthresh=10 ** np.floor(np.log10(positive.min())))
+        set_limits(0.0, BEYOND * positive.max())
     else:
         set_scale("log")
         decades = np.log10(positive.max() / positive.min())

@@ -269,7 +269,7 @@ def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
     """Median NAD over objects: methods down, groups of rows across, and the paper's own figures.
 
-    The best of the first group comes first; methods without an answer to some estimate come after those that answer all.
+    The best of the first group comes first; methods that answer all estimates come before those that do not.
 
     Args:
         groups: rows by the name of their support, sensing or point of a sweep.

@@ -3,7 +3,7 @@
     python bench/recorded_trials.py [RESULTS]      about ten minutes of one core
 
 Thirteen objects under both supports: the paper's six, the two of the tutorial, four drawn ones of other masses,
-frictions and sizes, one of which has too few grasps to show every mass, and one with two frictions. Each is given three
+frictions and sizes, and one with two frictions. Each is given three
 turns at changing speed and four at constant speed, 4 s there and 4 s back. What is in the results folder,
 results/recorded_trials if left out, is not made again.
 """

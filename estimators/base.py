@@ -124,11 +124,7 @@ class Estimate:
             raise InvalidValueError("Estimate.seconds", self.seconds, "a number >= 0, s")
         if not isinstance(self.traces, tuple) or not all(isinstance(trace, Trace) for trace in self.traces):
             raise InvalidValueError("Estimate.traces", self.traces, "a tuple of Traces")
-        if not isinstance(self.diagnostics, dict):
-            raise InvalidValueError("Estimate.diagnostics", self.diagnostics, "a dict of numbers by name")
-        for name, value in self.diagnostics.items():
-            if not isinstance(name, str) or not isinstance(value, int | float | np.integer | np.floating | np.bool_):
-                raise InvalidValueError(f"Estimate.diagnostics[{name!r}]", value, "a number, by a name")
+        _check_diagnostics(self.diagnostics)
 
     def group_mass(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"] | None:
         """Mass of each group, kg; None without an answer."""
@@ -197,8 +193,19 @@ def check_estimate(called: str, answer: Any, shape: ObjectShape) -> Estimate:
     return answer
 
 
+def _check_diagnostics(values: dict[str, float]) -> None:
+    """Check that numbers by name are that."""
+    if not isinstance(values, dict):
+        raise InvalidValueError("Estimate.diagnostics", values, "a dict of numbers by name")
+    for name, value in values.items():
+        if not isinstance(name, str) or not isinstance(value, int | float | np.integer | np.floating | np.bool_):
+            raise InvalidValueError(f"Estimate.diagnostics[{name!r}]", value, "a number, by a name")
+    if (misfit := values.get("misfit", 0.0)) < 0:
+        raise InvalidValueError("Estimate.diagnostics['misfit']", misfit, "a mean square, >= 0")
+
+
 def _checked_covariance(values: ArrayLike) -> np.ndarray:
-    """A covariance that is symmetric and without negative variances; infinite where nothing is observed."""
+    """A covariance that is symmetric and positive semidefinite; infinite where nothing is observed."""
     given = frozen_array("Estimate.covariance", values, (None, None), finite=False).copy()
     if len(given) != given.shape[1]:
         raise InvalidValueError("Estimate.covariance", f"shape {given.shape}", "as many rows as columns")
@@ -210,6 +217,8 @@ def _checked_covariance(values: ArrayLike) -> np.ndarray:
     inner = given[np.ix_(known, known)]
     if not np.allclose(inner, inner.T, rtol=1e-6, atol=1e-6 * np.abs(inner).max(initial=0.0)):
         raise InvalidValueError("Estimate.covariance", inner.tolist(), "a symmetric matrix")
+    if len(inner) and (least := np.linalg.eigvalsh(inner)[0]) < -1e-6 * np.trace(inner) - ROUNDING:
+        raise InvalidValueError("Estimate.covariance", f"an eigenvalue of {least:.3g}", "eigenvalues >= 0, kg^2")
     np.fill_diagonal(given, np.maximum(variance, 0))
     given.flags.writeable = False
     return given

@@ -37,18 +37,23 @@ class Block:
         off = (value.clamp(min=SMALLEST).log() if self.positive else value) - self.mean
         return torch.where(self.std > 0, off / self.std, 0.0).flatten()
 
-    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"], *, inverse: bool = False) -> Float[Tensor, "n"]:
         """z after a step that is straight in the parameter itself, also where its logarithm has the prior.
 
-        A positive parameter below half of its value falls exponentially.
+        A positive parameter, or its inverse, below half of its value falls exponentially.
+
+        Args:
+            z: where the step begins.
+            step: step, first of all as one of z.
+            inverse: True for a step that is straight in the inverse of a positive parameter.
         """
         if not self.positive:
             return z + step
-        std = self.std.flatten()
-        part = std * step
+        std, side = self.std.flatten(), -1.0 if inverse else 1.0
+        part = side * std * step
         beyond = (part + 0.5).clamp(max=0)
         logarithm = torch.log1p(part.clamp(min=-0.5)) + beyond + beyond.expm1()
-        return torch.where(std > 0, z + logarithm / std.clamp(min=SMALLEST), z)
+        return torch.where(std > 0, z + side * logarithm / std.clamp(min=SMALLEST), z)
 
     def scale(self, z: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         """Derivative of the parameter in z."""
@@ -102,8 +107,16 @@ class Unknowns:
         return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
 
     def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """z after a step, straight in the parameters' own units: sums of masses, which are weighed, stay linear."""
-        return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
+        """z after a step, straight in the parameters' own units, and in the inverse of several frictions.
+
+        Sums of masses, which are weighed, stay linear. One friction is linear in the loads that trials show; several
+        leave them as they are where masses change with the inverse of their friction.
+        """
+        found = []
+        for name, block in self.blocks.items():
+            inverse, where = name == "friction" and block.mean.numel() > 1, self.at[name]
+            found.append(block.stepped(z[where], step[where], inverse=inverse))
+        return torch.cat(found)
 
     def given(self, **values: Tensor) -> Unknowns:
         """Unknowns with some parameters known."""

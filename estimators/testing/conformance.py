@@ -29,6 +29,8 @@ Draw = Callable[[int], ObjectModel]
 """Object of each number."""
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}
 """NAD that an answer of status ok may have under each preset, as a ratio."""
+MOST_OFF, LEAST_OFF = 3.0, 0.2
+"""Root mean square error of masses over the claimed ones of answers with status ok: at most, and at least. Ours."""
 ANSWERED = ("ok", "unexplained")
 """Statuses of an answer to enough clean trials."""
 
@@ -107,11 +109,46 @@ def answers_in_the_shapes_groups(estimator: Estimator, draw: Draw = drawn_object
 
 
 def gives_the_same_answer_to_the_same_seed(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """Equal trials and seeds give equal masses and frictions, to the last bit."""
+    """Equal trials and seeds give equal masses, frictions and covariances, to the last bit."""
     obj = draw(1)
-    first, second = (masses_of(answer_of(estimator, obj.shape, obj.total_mass, data(obj), 7)) for _ in range(2))
-    assert np.array_equal(first.mass, second.mass), f"masses {first.mass}, then {second.mass}"
-    assert np.array_equal(first.friction, second.friction), f"friction {first.friction}, then {second.friction}"
+    first, second = (answer_of(estimator, obj.shape, obj.total_mass, data(obj), 7) for _ in range(2))
+    for name in ("mass", "friction"):
+        _same(name, *(getattr(masses_of(answer), name) for answer in (first, second)))
+    assert (first.covariance is None) == (second.covariance is None), "a covariance is there once, and once not"
+    if first.covariance is not None and second.covariance is not None:
+        _same("covariance", first.covariance, second.covariance)
+
+
+def _same(name: str, first: np.ndarray, second: np.ndarray) -> None:
+    """Check that two values are equal to the last bit."""
+    with np.errstate(invalid="ignore"):  # infinite less infinite
+        off = np.nanmax(np.abs(first - second), initial=0.0)
+    assert np.array_equal(first, second), f"the same seed gave another {name} the second time, {off:.3g} off"
+
+
+def leaves_what_it_is_given(estimator: Estimator, draw: Draw = drawn_object) -> None:
+    """The list of trials and their arrays are afterwards as they were: other methods are given the same."""
+    obj = draw(0)
+    given = data(obj)
+    kept = list(given)
+    before = [{name: array.copy() for name, array in _arrays(trial).items()} for trial in kept]
+    try:
+        answer_of(estimator, obj.shape, obj.total_mass, given)
+        assert len(given) == len(kept), f"the list of {len(kept)} trials has {len(given)} afterwards"
+        assert all(a is b for a, b in zip(given, kept, strict=True)), "the list has other trials, or another order"
+        for index, (trial, old) in enumerate(zip(kept, before, strict=True)):
+            changed = [name for name, now in _arrays(trial).items() if not np.array_equal(now, old[name])]
+            assert not changed, f"trajectories[{index}] has another {', '.join(changed)} afterwards"
+    finally:
+        for trial, old in zip(kept, before, strict=True):  # other rules are given the same
+            for name, now in _arrays(trial).items():
+                if not np.array_equal(now, old[name]):
+                    np.copyto(now, old[name])
+
+
+def _arrays(trial: Trajectory) -> dict[str, np.ndarray]:
+    """Arrays of a trial by name."""
+    return {name: value for name, value in vars(trial).items() if isinstance(value, np.ndarray)}
 
 
 def doubles_the_masses_when_all_wrenches_double(estimator: Estimator, draw: Draw = drawn_object) -> None:
@@ -248,6 +285,7 @@ def of_another(obj: ObjectModel) -> tuple[Trajectory, ...]:
 CONFORMANCE: tuple[Callable[..., None], ...] = (
     answers_in_the_shapes_groups,
     gives_the_same_answer_to_the_same_seed,
+    leaves_what_it_is_given,
     doubles_the_masses_when_all_wrenches_double,
     does_not_care_for_the_order_of_particles,
     takes_extra_trajectories,
@@ -298,6 +336,40 @@ def recovers(
     assert answer.distribution is not None, f"{where}: status ok without a mass distribution"
     nad = normalized_absolute_difference(model.shape, answer.distribution, model.truth)
     assert nad <= limit, _verdict(where, answer, block, nad, limit)
+
+
+def claims_errors_of_their_size(estimator: Estimator, blocks: Sequence[KnownBlock], sensing: str = "ft300s") -> None:
+    """Errors of masses, over known blocks, are between a fifth of those that covariances claim and three times them.
+
+    Of answers with status ok and a covariance; without any there is nothing to check.
+
+    Args:
+        estimator: estimator under test.
+        blocks: known blocks that it claims to know.
+        sensing: preset of the trials.
+
+    Raises:
+        AssertionError: with the ratio, and what is likely wrong.
+    """
+    ratios: list[float] = []
+    for block in blocks:
+        shape = block.model.shape
+        answer = answer_of(estimator, shape, block.weighed(sensing), block.trials(sensing))
+        mass, error = answer.group_mass(shape), answer.group_error(shape)
+        if answer.status == "ok" and mass is not None and error is not None:
+            known = np.isfinite(error)
+            ratios += list(((mass - block.model.group_mass) / np.maximum(error, 1e-12))[known])
+    if not ratios:
+        return
+    size = float(np.sqrt(np.mean(np.square(ratios))))
+    assert size < MOST_OFF, (
+        f"the masses of known blocks are off by {size:.3g} times their claimed errors; allowed: {MOST_OFF:g}: is the "
+        "covariance that of the particles' mean masses, in kg^2?"
+    )
+    assert size > LEAST_OFF, (
+        f"the masses of known blocks are off by {size:.2g} of their claimed errors; allowed: {LEAST_OFF:g} or more: is "
+        "the covariance that of the particles' mean masses, not of the groups'?"
+    )
 
 
 def shows_every_mass(block: KnownBlock) -> bool:

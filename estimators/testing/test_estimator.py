@@ -12,11 +12,23 @@ import pytest
 
 from estimators.base import Estimator
 from estimators.testing.analytic_world import drawn_object
-from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, Draw, clean_answer, data, recovers, small_object
+from estimators.testing.conformance import (
+    CONFORMANCE,
+    WITHOUT_DRAWS,
+    Draw,
+    claims_errors_of_their_size,
+    clean_answer,
+    data,
+    recovers,
+    small_object,
+)
 from estimators.testing.plugin import BLOCKS, SENSORS
 from estimators.testing.recorded import KnownBlock, load_block
 from estimators.testing.truth import truth_within_reach
 from testbed.trajectory import Trajectory
+
+CLAIMED = ("I2-own_weight", "L2-own_weight", "F1-own_weight", "drawn_b-own_weight")
+"""Known blocks on which claimed errors are checked."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -72,6 +84,12 @@ def test_no_truth_is_within_reach() -> None:
     block = load_block(BLOCKS[0])
     given = {"shape": block.model.shape, "weight": block.weighed("ft300s"), "trajectories": block.trials("ft300s")}
     assert truth_within_reach(given | {"seed": 0}, block.model, block.clean) == []
+
+
+def test_errors_are_of_the_size_that_is_claimed(estimator: Estimator, pytestconfig: pytest.Config) -> None:
+    if pytestconfig.getoption("--estimator-support") == "rigid":
+        pytest.skip("not claimed: own_weight")
+    checked(partial(claims_errors_of_their_size, estimator, [load_block(name) for name in CLAIMED]))
 
 
 def test_known_block(

@@ -12,12 +12,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators import Estimate, Estimator, HiddenStates, SupportAware, Trace
+from estimators import Bayes, Estimate, Estimator, HiddenStates, SupportAware, Trace
+from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing import conformance as rules
 from estimators.testing import plugin, recorded
-from estimators.testing.conformance import ALLOWED, CONFORMANCE, WITHOUT_DRAWS, recovers, shows_every_mass
+from estimators.testing.conformance import (
+    ALLOWED,
+    CONFORMANCE,
+    WITHOUT_DRAWS,
+    claims_errors_of_their_size,
+    recovers,
+    shows_every_mass,
+)
 from estimators.testing.recorded import KnownBlock, block_names, load_block, save_block
-from estimators.testing.test_estimator import cases
+from estimators.testing.test_estimator import CLAIMED, cases
 from testbed import InvalidValueError, Rotate, Trajectory, steady_windows
 from testbed.objects.files import Blocks, ObjectFile
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
@@ -65,6 +73,8 @@ def test_every_block_and_every_sensor_is_met_on_both_supports():
 
 def test_a_known_block_comes_back_from_its_file(tmp_path):
     block = load_block("two_frictions-own_weight")
+    straight = load_block("L2-own_weight")
+    assert shows_every_mass(straight) and not shows_every_mass(replace(straight, clean=straight.clean[:4]))
     assert not shows_every_mass(block)
     blocks = Blocks(
         layout=["10", "10", "111"], mass_kg=block.model.group_mass.tolist(), friction=[0.3, 0.6],
@@ -111,7 +121,7 @@ VERDICTS = [
     ("L2-rigid", "ideal", right, None),
     ("L2-own_weight", "ideal", even, r"NAD 44\.4 %; .*no more than 8 %\n.*A1 0\.300"),
     ("L2-rigid", "ideal", even, "claim own_weight only"),
-    ("drawn_c-own_weight", "ideal", lambda _: SILENT, None),  # these trials do not show every mass
+    ("two_frictions-own_weight", "ideal", lambda _: SILENT, None),  # these trials do not show every mass
     ("L2-rigid", "ideal", lambda _: SILENT, None),
     ("L2-own_weight", "high", lambda _: SILENT, None),
     ("L2-own_weight", "ideal", lambda _: SILENT, r"\(too few turns\), where these trials show every mass"),
@@ -140,6 +150,55 @@ def test_algorithm_1_recovers_blocks_on_their_own_weight(name):
     block = load_block(name)
     for sensing in ("ideal", "ft300s"):
         recovers(HiddenStates(), block, sensing, block.trials(sensing))
+
+
+def test_frictions_that_inertia_alone_tells_apart_are_found_along_the_valley():
+    """Masses that change with the inverse of their friction leave every friction load as it is."""
+    block = load_block("two_frictions-own_weight")
+    for seed in range(3):
+        weight, trials = block.weighed("ft300s", seed), block.trials("ft300s", seed)
+        found, other = (
+            method.estimate(block.model.shape, weight, trials, seed) for method in (Bayes(), HiddenStates())
+        )
+        assert found.status == "ok" and found.diagnostics["misfit"] < 1.1 * other.diagnostics["misfit"]
+        assert found.distribution is not None
+        assert normalized_absolute_difference(block.model.shape, found.distribution, block.model.truth) < 0.1
+
+
+def doubted(change: Callable[[Estimate, ObjectShape], np.ndarray]) -> Estimator:
+    """The real estimator with another covariance."""
+    return changed(lambda answer, shape: replace(answer, covariance=change(answer, shape)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "breach"),
+    [
+        (lambda answer, _: answer.covariance, None),
+        (lambda answer, _: 1e-4 * answer.covariance, "off by .* times their claimed errors"),
+        (lambda answer, shape: answer.covariance * shape.particles_per_group[0] ** 2, "not of the groups"),
+    ],
+)
+def test_errors_are_held_against_those_that_are_claimed(wrong, breach):
+    blocks = [load_block(name) for name in CLAIMED]
+    with nullcontext() if breach is None else pytest.raises(AssertionError, match=breach):
+        claims_errors_of_their_size(doubted(wrong), blocks)
+
+
+@pytest.mark.parametrize("flawed", ["wrench_on_object_world", "tcp_velocity"])
+def test_an_array_that_was_written_to_is_named_and_restored(flawed):
+    def estimate(shape: ObjectShape, weight: float, trajectories: list[Trajectory], seed: int) -> Estimate:
+        answer = REAL.estimate(shape, weight, trajectories, seed)
+        array = getattr(trajectories[1], flawed)
+        array.flags.writeable = True
+        array *= 2.0
+        return answer
+
+    before = [getattr(trial, flawed).copy() for trial in rules.data(rules.drawn_object(0))]
+    with pytest.raises(AssertionError, match=rf"trajectories\[1\] has another {flawed} afterwards"):
+        rules.leaves_what_it_is_given(estimator(estimate))
+    after = [getattr(trial, flawed) for trial in rules.data(rules.drawn_object(0))]
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
 
 @pytest.mark.slow
@@ -227,6 +286,12 @@ def fragile(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory
     return REAL.estimate(shape, weight, trajectories, seed)
 
 
+def emptying(shape: ObjectShape, weight: float, trajectories: list[Trajectory], seed: int) -> Estimate:
+    """An estimate that takes the trials out of its list."""
+    given = [trajectories.pop() for _ in range(len(trajectories))][::-1]
+    return REAL.estimate(shape, weight, given, seed)
+
+
 def careless(shape: ObjectShape, weights: Any, draws: Any, seeds: Any) -> list[Estimate]:
     """A batch that gives every draw the answer of the first."""
     return [REAL.estimate(shape, weights[0], draws[0], seeds[0])] * len(draws)
@@ -254,6 +319,7 @@ RAGGED = (Trace("steps", (2.0, 1.0), (0.0,), 1.0, np.empty((0, 0))),)
 BREACHES: dict[Callable[..., None], Estimator] = {
     rules.answers_in_the_shapes_groups: with_masses(lambda mass, _: mass[:-1]),
     rules.gives_the_same_answer_to_the_same_seed: with_masses(lambda mass, _: mass * BAD_LUCK.uniform(0.9, 1.1)),
+    rules.leaves_what_it_is_given: estimator(emptying),
     rules.doubles_the_masses_when_all_wrenches_double: with_masses(lambda _, shape: np.full(shape.n_m, 0.1)),
     rules.does_not_care_for_the_order_of_particles: with_masses(
         lambda mass, shape: np.where(np.arange(shape.n_m) == shape.mass_group[0], 2, 1) * mass

@@ -246,7 +246,7 @@ def test_samples_are_episodes_of_their_trials(published):
         assert (own["episode_index"] == row["episode_index"]).all()
         assert np.allclose(own["timestamp"], np.arange(len(own)) / info["fps"], atol=1e-4)
     wrench = np.stack(samples["observation.sensor_wrench"].to_list())
-    assert np.allclose(stats["observation.sensor_wrench"]["std"], wrench.std(axis=0), rtol=1e-5)
+    assert np.allclose(stats["observation.sensor_wrench"]["std"], wrench.std(axis=0, dtype=float), rtol=1e-5)
 
 
 def test_croissant_has_the_checksum_of_every_file(published):

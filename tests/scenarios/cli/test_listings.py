@@ -222,7 +222,7 @@ def test_a_recording_is_found_and_imported(
     assert "ok      day.csv, 0 s to 14.12 s: L2: accelerate (grasp 3" in said
     assert "2 trials of L2 in lab, all usable" in said
     stored = [t for _, t in load_trajectories("lab")]
-    assert sorted(t.provenance["stretch"] for t in stored) == ["0 s to 14.12 s", "14.12 s to 28 s"]
+    assert sorted(t.provenance["stretch"] for t in stored) == ["0 s to 14.12 s", "14.12 s to 28.01 s"]
     assert ended("import", "lab.found.toml", "--out", "lab") == 0  # the same again takes the same place
     assert len(list(load_trajectories("lab"))) == 2
     text = Path("lab.found.toml").read_text(encoding="utf-8")
@@ -230,7 +230,7 @@ def test_a_recording_is_found_and_imported(
     assert ended("import", "lab.found.toml", "--out", "lab") == 2
     error = capsys.readouterr().err
     assert "logs.file: got 'day.csv, 0 s to 14.12 s'; allowed: each stretch" in error
-    assert "another [[logs]] has 4 s to 28 s" in error
+    assert "another [[logs]] has 4 s to 28.01 s" in error
     said = refusal(capsys, "import", "lab.found.toml", "--find")
     assert "--find: got 'lab.found.toml'; allowed: a mapping without [[logs]]" in said
 

@@ -184,15 +184,17 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
     """Names of the columns of a table of text, and the cells of each, by the numbers of their lines."""
     try:
         lines = _decoded(path).split("\n")
-        _check_lines(path, lines)
-        kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
-        head, sought = lines[kept[0]] if kept else "", mapping.separator
-        if len(sought) == 1 and sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
-            allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
-            raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
-        text = StringIO("\n".join(lines[i] for i in kept))
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+    _check_lines(path, lines)
+    kept = [i for i, line in enumerate(lines) if not (mapping.comment and line.startswith(mapping.comment))]
+    head, sought = lines[kept[0]] if kept else "", mapping.separator
+    if len(sought) == 1 and sought not in head and (other := max(SEPARATORS, key=head.count)) in head:
+        allowed = f"the table's own, as separator = {json.dumps(other)} in the mapping"
+        raise LogError(f"{path}: its first line has no separator {json.dumps(sought)}; allowed: {allowed}")
+    try:
         table = pd.read_csv(
-            text,
+            StringIO("\n".join(lines[i] for i in kept)),
             sep=sought,
             engine="c" if len(sought) == 1 else "python",  # which takes a pattern
             dtype=str,
@@ -200,16 +202,13 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
             skipinitialspace=True,
             skip_blank_lines=False,
         )
-    except pd.errors.ParserError as error:
-        if not (ragged := _RAGGED.search(str(error))):
-            raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
-        expected, at, found = map(int, ragged.groups())
-        allowed = "rows of equal length; a line above the names of the columns is deleted, or begins with `comment`"
-        raise LogError(
-            f"{path}: line {kept[at - 1] + 1}: {found} columns, after {expected}; allowed: {allowed}"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise LogError(f"{path}: cannot be read as a table: {str(error).strip()}") from None
+    except ValueError as error:
+        said = f"cannot be read as a table: {str(error).strip()}"
+        if ragged := _RAGGED.search(str(error)):
+            expected, at, found = map(int, ragged.groups())
+            allowed = "rows of equal length; a line above the names of the columns is deleted, or begins with `comment`"
+            said = f"line {kept[at - 1] + 1}: {found} columns, after {expected}; allowed: {allowed}"
+        raise LogError(f"{path}: {said}") from None
     table.index = pd.Index(np.array(kept[: len(table)]) + 1)
     first = [str(name).strip() for name in table.iloc[0]]
     numbers = np.asarray(pd.to_numeric(table.iloc[0], errors="coerce"), dtype=float)

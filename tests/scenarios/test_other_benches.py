@@ -23,8 +23,9 @@ from tests.helpers.runs import quiet
 
 MORE = '''
 from dataclasses import replace
+import numpy as np
 from own_simulator import DragSimulator
-from testbed import InfeasibleTrialError, Weigh
+from testbed import InfeasibleTrialError, Phase, Slide, Weigh
 
 class Measured(DragSimulator):
     """The same, said to be measured."""
@@ -53,6 +54,17 @@ class Bare:
     def run(self, trial):
         record = DragSimulator().run(trial)
         return record if not trial.action.moves else replace(record, tool=None)
+
+class Untared(Bare):
+    def run(self, trial):
+        record = DragSimulator().run(trial)
+        moves = record.phase > Phase.TARE
+        return replace(record, phase=np.where(moves, record.phase, Phase.APPROACH)) if trial.action.moves else record
+
+class Another(Bare):
+    def run(self, trial):
+        record = DragSimulator().run(trial)
+        return replace(record, action=Slide(0, 0.5)) if trial.action.moves else record
 
 class Words(Bare):
     def run(self, trial):
@@ -137,6 +149,8 @@ def test_an_object_that_is_refused_about_every_grasp_fails_with_the_first_reason
     [
         ("more:Words", r"weigh: more:Words.run\(\): got 'it went well'; allowed: a Trajectory"),
         ("more:Bare", r"accelerate: more:Bare.run\(\).tool: got None; allowed: the Tool below"),
+        ("more:Untared", r"accelerate: more:Untared.run\(\).phase: got 'no sample of TARE'; allowed: a tare before"),
+        ("more:Another", r"accelerate: more:Another.run\(\).action: got .*; allowed: the trial's own: "),
     ],
 )
 def test_what_cannot_be_used_fails_in_words(here, runner, message):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -242,6 +243,10 @@ def test_the_plan_is_the_policys_and_of_the_grasps_pushes_and_lifts_asked_for():
 LINKS = "scenarios/library/objects/fold_2.toml"
 REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: expected(L2.shape, L2.truth, [Rotate(9)], preset("ideal")), "one of the shape's 5 grasps"),
+    (
+        lambda: expected(L2.shape, L2.truth, [Rotate(0)], cast(Any, "ft300s")),
+        'a Sensing, such as heft.preset\\("ft300s"\\)',
+    ),
     (lambda: Assumptions("floating"), "own_weight, rigid"),
     *(
         (partial(actions_of, L2, **{option: -1}), rf"^{option}: got -1; allowed: an integer >= 0")

@@ -122,6 +122,12 @@ def test_a_trial_of_a_name_is_refused(field: str, value: str):
     assert refused.value.field == f"Trial.{field}"
 
 
+@pytest.mark.parametrize("part", [-0.1, 1.5, "middle"])
+def test_a_push_meets_its_face(part: Any):
+    with pytest.raises(InvalidValueError, match=r"Push\.into\.part: .*0 to 1, from one end of the face"):
+        Push.into(faces(SHAPE)[2], part)
+
+
 @pytest.mark.parametrize(("kind", "fields", "field"), REFUSED)
 def test_an_action_out_of_range_is_refused(kind, fields: dict[str, Any], field: str):
     least: dict[str, Any] = {"point": (0.0, 0.0), "direction": 0.0} if kind is Push else {"grasp": 0}

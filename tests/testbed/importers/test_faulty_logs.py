@@ -195,6 +195,12 @@ def in_unit(pose: StaticPose, unit: float) -> StaticPose:
     return replace(pose, wrench=scale * pose.wrench, standard_error=scale * pose.standard_error)
 
 
+def in_kgf(pose: StaticPose) -> StaticPose:
+    """The pose with forces in kgf read as N."""
+    scale = np.repeat([1 / 9.80665, 1.0], 3)
+    return replace(pose, wrench=scale * pose.wrench, standard_error=scale * pose.standard_error)
+
+
 FAR = r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"
 
 
@@ -203,6 +209,7 @@ FAR = r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"
     [
         (lambda pose: in_unit(pose, 1e3), FAR),
         (lambda pose: in_unit(pose, 1e2), FAR),
+        (in_kgf, r"m from the sensor; allowed: 0\.5 m; is the unit of the force kgf \(force_unit\)"),
         (lambda pose: replace(pose, hand=np.roll(pose.hand, 1)), "quaternions in another order"),
         (lambda pose: replace(pose, hand=np.roll(pose.hand, -1)), "quaternions in another order"),
         (lambda pose: replace(pose, hand=pose.hand * [1, -1, -1, -1]), "their inverse: of the base in the hand"),

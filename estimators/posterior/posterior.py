@@ -16,7 +16,7 @@ from torch import Tensor
 from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
-from estimators.particles.misfit import UNEXPLAINED, Misfit
+from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
 from estimators.posterior.on_table import WRENCHES
 from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
@@ -42,7 +42,8 @@ DISTANCE = 0.02
 LEAST_SHIFT = 0.05
 """Part of an error up to which a mode stays where the joint one is. Ours."""
 IMPLAUSIBLE = 1e-6
-"""Probability below which a part of a misfit is no chance, many parts being looked at."""
+"""Probability below which a part of a misfit is no chance, many parts being looked at; of the inertia, in which alone a
+wrong weight shows, it is `CHANCE`."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,8 @@ class Part:
     @property
     def implausible(self) -> bool:
         """True if the errors that are stated do not allow it."""
-        return self.log_chance < math.log(IMPLAUSIBLE) and self.value > UNEXPLAINED
+        limit = CHANCE if self.name == "inertia" else IMPLAUSIBLE
+        return self.log_chance < math.log(limit) and self.value > UNEXPLAINED
 
 
 @dataclass(frozen=True, eq=False)

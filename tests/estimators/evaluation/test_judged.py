@@ -1,5 +1,6 @@
 """One rule for the status of every method, ok alone where the masses explain the trials; and causes of a misfit."""
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import METHODS, DiffLcp, ExplicitState, HiddenStates, MujocoSysid, PublishedHiddenStates, SupportAware
-from estimators.base import Estimate, EstimateStatus
+from estimators.base import Estimate, EstimateStatus, Estimator
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.evaluation import judged as judging
@@ -268,3 +269,14 @@ def test_friction_that_differs_by_direction_is_named_with_its_size():
 
 def test_sizes_are_in_words():
     assert Cause("grasp_offset", 3.0, 0.0021, absurd=False).formatted == "2.1 mm"
+
+
+@pytest.mark.parametrize("method", [HiddenStates(), Bayes(), LeastSquares()], ids=lambda method: type(method).__name__)
+@pytest.mark.parametrize(("name", "part"), [("I2-own_weight", 0.95), ("L2-own_weight", 0.95)])
+def test_a_weight_that_is_wrong_by_a_twentieth_shows_in_accelerated_turns(name: str, part: float, method: Estimator):
+    block = load_block(name)
+    for seed in (0, 1):
+        trials, weight = block.trials("ft300s", seed), block.weighed("ft300s", seed)
+        found, wrong = (method.estimate(block.model.shape, m, trials, 0) for m in (weight, part * weight))
+        assert found.status == "ok" and wrong.status == "unexplained"
+        assert re.search(r"accelerated turns show \d+ % of the inertia", wrong.message)

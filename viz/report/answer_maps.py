@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from viz.figures.maps import add_bar, draw_groups
 from viz.report.answers import Answer
@@ -42,5 +43,5 @@ def answer_maps(answers: Sequence[Answer]) -> Figure:
         draw_groups(line[0], shape, mass, scales[0], digits=3, letters=6.5)
         draw_groups(line[1], shape, half, scales[1], digits=3, letters=6.5)
     for column, scale in enumerate(scales):
-        add_bar(figure, axes[:, column].tolist(), scale, aspect=30, fontsize=8)
+        add_bar(figure, axes[:, column].tolist(), scale, aspect=30, fontsize=8, ticks=MaxNLocator(4))
     return figure

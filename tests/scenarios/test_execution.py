@@ -74,6 +74,10 @@ def test_a_task_is_begun_again_up_to_a_number_of_times(tmp_path):
     assert values["crash once"] == values["well"] == "well"
     assert values["crash"].reason == "its worker process was killed by SIGSEGV (tried 2 times)"
     assert values["leave"].reason == "its worker process exited with code 0 (tried 2 times)"
+    with open_executor("local", 1, Limits(tries=1)) as executor:
+        values = all_of(executor, {1: (misbehave, "leave"), 2: (misbehave, "well")})
+    assert values[1].reason == "its worker process exited with code 0 (tried once)"
+    assert values[2] == "well"
 
 
 def listening() -> set[str]:

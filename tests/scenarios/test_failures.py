@@ -114,6 +114,19 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
 
 
 @pytest.mark.slow
+def test_a_method_beside_those_that_fail_answers(here, finished):
+    names = ["failing:Fails", "failing:NotANumber", "failing:Exit", "tests.fakes.misbehaving:Misbehaving"]
+    asked = [*names, "hidden_states"]
+    assert ended("run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *asked) == 1
+    rows = load_results(here / "out").set_index("method")
+    assert not set(rows.loc["hidden_states", "status"]) - {"ok", "unexplained"}
+    assert set(rows.loc[names, "status"]) == {"failed"}
+    assert all(
+        "RuntimeError: out of ideas (" in m and "misbehaving.py, line" in m for m in rows.loc[names[3], "message"]
+    )
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["raise ValueError('no')", "return []", "return [None] * len(draws)"])
 def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
     (here / "failing.py").write_text(BATCHES.replace("{way}", way), encoding="utf-8")

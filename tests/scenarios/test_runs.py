@@ -170,8 +170,9 @@ def test_results_of_an_object_whose_file_has_changed_are_not_written_over(finish
 @pytest.mark.slow
 def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished, copied):
     trials, estimates = sorted(copied.glob("trials/*")), sorted(copied.glob("estimates/*"))
-    record = trials[0] / "trajectory.parquet"
-    record.write_bytes(record.read_bytes()[:5000])
+    for trial in (trials[0], trials[3]):
+        record = trial / "trajectory.parquet"
+        record.write_bytes(record.read_bytes()[:5000])
     (trials[1] / "trial.json").unlink()
     (estimates[0] / "result.json").write_text('{"nad": 0.', encoding="utf-8")
     (estimates[1] / "result.json").write_bytes(b"\xff\x00")
@@ -179,7 +180,7 @@ def test_damage_and_leftovers_are_made_good_and_nothing_else_is_touched(finished
     leftovers = [trials[2] / ".trajectory.parquet.123.part", estimates[0] / ".result.json.9.part", copied / ".x.1.part"]
     for path in leftovers:
         path.write_bytes(b"half")
-    touched = {trials[0], trials[1], *estimates[:3]}
+    touched = {trials[0], trials[1], trials[3], *estimates[:3]}
     stamps = {p: p.stat().st_mtime_ns for p in copied.glob("[te]*s/*/*") if p.parent not in touched}
     pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
     assert not any(path.exists() for path in leftovers)

@@ -98,7 +98,7 @@ def test_amounts_are_read_as_typed():
 @pytest.mark.slow
 def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
     out = tmp_path / "run"
-    touch = ["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "200", "--out", str(out)]
+    touch = ["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)]
     main(touch)
     said = capsys.readouterr().out
     assert "stopped: the target is met" in said
@@ -115,7 +115,7 @@ def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, capsys):
-    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "200", "--out", str(tmp_path / "run")])
+    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "600", "--out", str(tmp_path / "run")])
     said = " ".join(capsys.readouterr().out.split())
     assert "stopped: no action teaches more" in said
     assert "the target of 2 % is not reached" in said and "assumption_violated" in said
@@ -208,3 +208,11 @@ def test_a_plan_is_recorded_step_by_step(tmp_path):
     assert {f"plan/actions/scene/{n}/way" for n in (1, 2, 3)} <= set(entities)
     colors = entities["plan/error/map/cells"].times["iteration"]
     assert all(times.tolist() == [0, 1, 2, 3] for times in colors.values())
+
+
+@pytest.mark.slow
+def test_without_a_figure_or_a_recording_a_plan_is_only_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
+    assert "1 action(s)" in " ".join(capsys.readouterr().out.split())
+    assert not list(tmp_path.iterdir())

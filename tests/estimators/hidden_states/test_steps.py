@@ -204,7 +204,7 @@ def test_the_variance_is_the_scatter_of_the_slopes(monkeypatch):
         for noise in (0.0, 0.2)
     )
     rng, runs = np.random.default_rng(0), []
-    for _ in range(75):
+    for _ in range(150):
         noise = rng.standard_normal(len(clean)) * noisy.covariance[:, 2, 2].sqrt().numpy()
         runs.append(slopes(L2, replace(with_torque(clean, noise), noise=noisy.noise)))
     scatter = np.std([run.inertia[0] for run in runs])

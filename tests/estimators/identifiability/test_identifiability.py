@@ -332,6 +332,13 @@ def test_the_heatmap_shows_the_standard_errors_of_the_table(tmp_path, capsys, mo
     assert [float(text.get_text()) for text in drawn[0].axes[0].texts] == pytest.approx(printed, abs=0.006)
 
 
+@pytest.mark.slow
+def test_the_heatmap_is_written_whole(tmp_path, capsys):
+    main(["identify", "L2", "--out", str(tmp_path / "errors")])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.pdf", "errors.png"]
+    assert "errors.png" in capsys.readouterr().out
+
+
 def test_what_is_not_seen_is_hatched_and_said():
     figure = error_figure(L2, np.array([0.01, np.inf, 0.02, 0.03, 0.01, 0.01]), "some trials")
     axis, bar = figure.axes

@@ -77,8 +77,12 @@ def hinges_of(obj: ObjectModel, answer: Estimate) -> list[float]:
 
 
 @cache
+def _dragged(obj: ObjectModel, **rates: float) -> tuple[Trajectory, ...]:
+    return tuple(analytic_links(obj, action, **rates) for action in drags(obj))
+
+
 def trials_of(obj: ObjectModel, **rates: float) -> list[Trajectory]:
-    return [analytic_links(obj, action, **rates) for action in drags(obj)]
+    return list(_dragged(obj, **rates))
 
 
 @pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])

@@ -227,7 +227,7 @@ def kit(tmp_path, *arguments: str, tests: tuple[str, ...] = OWN) -> subprocess.C
     ("path", "options"),
     [
         ("estimators:HiddenStates", ("--estimator-support", "own_weight", "--estimator-thorough")),
-        ("estimators:SupportAware", ("--estimator-support", "both", "--estimator-small")),
+        ("estimators:SupportAware", ("--estimator-support", "both")),
     ],
 )
 def test_the_whole_kit_passes(tmp_path, path, options):

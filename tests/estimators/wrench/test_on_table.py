@@ -19,11 +19,12 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.table import Table
-from testbed import GRAVITY, Accelerate, ObjectModel, Rotate, Slide, Trajectory, preset
+from testbed import GRAVITY, Accelerate, ObjectModel, Push, Rotate, Slide, Trajectory, preset
+from testbed.objects.faces import faces
 from testbed.sensing.compensation import SIDEWAYS
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
-from tests.fakes.analytic_push import steady_pushes
+from tests.fakes.analytic_push import analytic_pushes, steady_pushes
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, on_plastic, turns_beside
 from tests.helpers.answers import ask, claimed, trials_of, true_values, windows_of
 
@@ -34,7 +35,7 @@ APART = replace(
     OBJECT,
     shape=replace(OBJECT.shape, grasps=tuple(replace(g, position=g.position + BETWEEN) for g in OBJECT.shape.grasps)),
 )
-CENTERS = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2))
+CENTERS, PUSHES = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), [Push.into(face) for face in faces(OBJECT.shape)]
 DRAG = Slide(0, np.pi / 2, duration=2.5)
 SHARP = replace(EXACT, weight_error=1e-9)
 
@@ -141,20 +142,21 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
 
 
 @pytest.mark.parametrize(
-    "trials",
+    ("trials", "rounds"),
     [
-        pytest.param(KINDS["turns"], id="turns"),
-        pytest.param(lambda: [*turns(OBJECT, [0, 1]), *KINDS["slides"]()], id="slides"),
-        pytest.param(lambda: trials_of(OBJECT), id="accelerated"),
-        pytest.param(lambda: steady_pushes(OBJECT, np.vstack([CENTERS, -CENTERS])), id="pushes"),
+        pytest.param(KINDS["turns"], 8, id="turns"),
+        pytest.param(lambda: [*turns(OBJECT, [0, 1]), *KINDS["slides"]()], 8, id="slides"),
+        pytest.param(lambda: trials_of(OBJECT), 8, id="accelerated"),
+        pytest.param(lambda: steady_pushes(OBJECT, np.vstack([CENTERS, -CENTERS])), 12, id="steady pushes"),
+        pytest.param(lambda: analytic_pushes(OBJECT, PUSHES), 8, id="pushes", marks=pytest.mark.slow),
     ],
 )
-def test_masses_come_back_from_predicted_wrenches(trials):
+def test_masses_come_back_from_predicted_wrenches(trials, rounds):
     on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials()), "own_weight", SHARP)
     measured = on_table.predicting(true_values(OBJECT)).windows
     found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, measured, SHARP)
     guess = found.first_guess()
-    for _ in range(12):
+    for _ in range(rounds):
         solution = algorithm_1(found, guess, lambda system: (closed_form(system), ()))
         assert isinstance(solution, Solution)
         guess = solution.masses.distribution

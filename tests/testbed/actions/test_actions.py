@@ -204,7 +204,7 @@ def test_distance_is_the_integral_of_the_rate_and_that_is_as_stated(action):
 @pytest.mark.parametrize("action", [*PATHS, Push.into(faces(SHAPE)[2], 0.4, 0.2, 5.0), Lift(1)], ids=str)
 def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_derivative(action):
     path, fine = (action.tool_path(SHAPE, np.array([0.4, 0.1, 0.3]), step) for step in (0.01, 0.001))
-    times = np.arange(1, len(fine.segment), 73) * 0.001
+    times = np.arange(1, len(fine.segment), 37) * 0.001
     poses, rates = (np.array(each) for each in zip(*map(fine.at, times), strict=True))
     ahead, behind = (np.array([fine.at(t + d)[0] for t in times]) for d in (5e-4, -5e-4))
     assert_allclose((ahead - behind) / 1e-3, rates, atol=2e-3)
@@ -242,6 +242,9 @@ def test_a_path_keeps_its_pivot_and_its_grasp_and_leads_on_from_its_start(action
     else:
         assert_allclose(pivot, np.tile(pivot[0], (11, 1)), atol=1e-12)
         assert objects[-1, 2] - objects[0, 2] == pytest.approx(math.copysign(0.6, action.steady[0].speed))
+    along = (part + 0.5)[:, None]
+    assert_allclose(pivot, pivot[0] + along * (pivot[-1] - pivot[0]), atol=1e-12)
+    assert_allclose(objects[:, 2], objects[0, 2] + along[:, 0] * (objects[-1, 2] - objects[0, 2]), atol=1e-12)
     again = action.path_from(SHAPE, 0.6, objects[0])
     assert_allclose(again.tool_pose(part), tools, atol=1e-12)
 

@@ -76,7 +76,7 @@ def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
     """Frames at their own times, but for what was not seen: the windows are the same."""
     folded = Path("scenarios/library/objects/elbow.toml").resolve()
     name = "L2" if kind == "push" else str(folded)
-    action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=3.0)
+    action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=2.5)
     given = draw_sensing(clean(name, action), preset("ft300s"), 1)
     write_mcap(given, tmp_path / "trial.mcap")
     text = mapping_text(given, load_object(name).shape, name, "trial.mcap")

@@ -11,7 +11,7 @@ from testbed.importers.tables import TableLog
 from tests.fakes.lab_bench import write_messages
 
 pytest.importorskip("mcap.writer")
-RECURSIVE = f"a/A x\n{'=' * 80}\nMSG: a/A\na/A y\n"
+pytestmark = pytest.mark.own_process
 
 
 def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
@@ -34,7 +34,7 @@ def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
         ("a/msg/A:\n    pass\nimport os\nclass B", "ros2msg", "float64 x", "allowed: names with slashes"),
         ('a/msg/A"""', "ros2msg", "float64 x", "allowed: names with slashes"),
         ("a/msg/A", "ros2msg", "float64 x\n" * 40_000, "400000 letters"),
-        pytest.param("a/msg/A", "ros2msg", RECURSIVE, "not a ROS 2 bag as a whole", marks=pytest.mark.own_process),
+        ("a/msg/A", "ros2msg", f"a/A x\n{'=' * 80}\nMSG: a/A\na/A y\n", "not a ROS 2 bag as a whole"),
     ],
 )
 def test_a_definition_that_no_program_writes_is_refused(kind, encoding, definition, reason, tmp_path: Path):

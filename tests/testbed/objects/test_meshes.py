@@ -122,6 +122,13 @@ def test_a_solid_has_the_moments_that_trimesh_finds(name: str):
     assert_allclose(solid.inertia_z, 0.7 * mesh.moment_inertia[2, 2] / mesh.volume, rtol=1e-6)
 
 
+def test_a_solid_may_lie_anywhere():
+    near, far = box((0.1, 0.02, 0.03)), box((0.1, 0.02, 0.03), (0.7, -0.4, 0.2))
+    a, b = (Solid(m.vertices, m.faces, 2.0) for m in (near, far))
+    assert_allclose(b.center_of_mass - a.center_of_mass, [0.7, -0.4, 0.2], atol=1e-12)
+    assert_allclose([a.inertia_z, b.inertia_z], 2 * (0.1**2 + 0.02**2) / 12, rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_tool_has_its_parts_masses_and_nearly_their_area(name: str):
     made, fine = tool(name), tool(name, 6).shape

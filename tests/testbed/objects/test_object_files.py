@@ -40,6 +40,14 @@ def test_every_object_of_the_library_can_be_loaded():
         assert_allclose(made[name].group_mass, [0.4, 0.1, 0.1, 0.4, 0.4, 0.4], rtol=1e-12)
 
 
+@pytest.mark.parametrize("grid", [1, 2, 4])
+def test_the_grid_changes_particles_but_not_the_object(grid: int):
+    reference, made = load_object("L2"), load_object("L2", grid)
+    assert len(made.shape.particles) == 6 * grid**2
+    assert_allclose(made.center_of_mass, reference.center_of_mass, atol=1e-15)
+    assert_allclose(made.inertia_cm, reference.inertia_cm, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("lines", "mass", "friction", "groups"),
     [

@@ -55,11 +55,10 @@ def test_without_noise_all_comes_back(mount: Rotation, sign: int):
 
 
 @pytest.mark.slow
-def test_with_noise_errors_are_as_large_as_it_says():
-    """For a sensor that is turned by a right angle, and for one that is turned otherwise and negated."""
+@pytest.mark.parametrize(("mount", "sign"), [(MOUNTS[1], 1), (MOUNTS[6], -1)])
+def test_with_noise_errors_are_as_large_as_it_says(mount, sign):
     draws, scores = 60, []
     for seed in range(draws):
-        mount, sign = ((MOUNTS[1], 1), (MOUNTS[6], -1))[seed % 2]
         found = calibrate(readings(mount, sign, noise=1.0, seed=seed))
         assert found.sign == sign
         scores.append(off(found, mount))

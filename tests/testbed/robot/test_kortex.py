@@ -292,22 +292,31 @@ ELSEWHERE = (
     "SIGSTOP of the arm's process, and both are reset",
 )
 """Faults that are struck in every phase; the others amid twists."""
+
+
+@pytest.fixture(scope="module")
+def untouched() -> Iterator[FakeGen3]:
+    """An arm that no other test has moved."""
+    with FakeGen3(Gen3World(small_object())) as fake:
+        yield fake
+
+
 CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in ELSEWHERE else PHASES[:1])]
 
 
 @slow
 @pytest.mark.parametrize(("name", "phase"), CASES)
-def test_every_fault_stops_the_arm_and_ends_the_trial(name: str, phase: Phase, running: FakeGen3):
+def test_every_fault_stops_the_arm_and_ends_the_trial(name: str, phase: Phase, untouched: FakeGen3):
     """By a command, long before it has gone as far as it was to go; the record does not say that all went well."""
-    outcome = stopped_after(running, WIRE_FAULTS[name], phase)
+    outcome = stopped_after(untouched, WIRE_FAULTS[name], phase)
     assert outcome.stop_s < 1.0
     assert outcome.moved_mm < 25
     assert "went on" not in outcome.said
 
 
 @slow
-def test_where_both_processes_are_frozen_the_arm_stops_itself(running: FakeGen3):
-    outcome = stopped_after(running, freeze_both, "twists", own_limit=True)
+def test_where_both_processes_are_frozen_the_arm_stops_itself(untouched: FakeGen3):
+    outcome = stopped_after(untouched, freeze_both, "twists", own_limit=True)
     assert outcome.stop_s < 1.0 and outcome.moved_mm < 25
 
 

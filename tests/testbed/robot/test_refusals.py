@@ -195,8 +195,24 @@ class Ranged(FakeArm):
     ): ...
 
 
+class Outside:
+    """Methods of an arm of somebody else's."""
+
+    def __enter__(self): ...
+
+    def __exit__(self, *_): ...
+
+    def state(self): ...
+
+    def move_to(self, pose, speed): ...
+
+    def twist(self, linear, angular): ...
+
+    def stop(self): ...
+
+
 @dataclasses.dataclass
-class RangedData(FakeArm):
+class RangedData(Outside):
     pause: Annotated[float, Range(0.01, 0.2, "s")] = 0.1
 
 

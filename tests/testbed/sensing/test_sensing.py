@@ -28,7 +28,7 @@ from testbed.sensing.windows import (
     weight_of,
 )
 from testbed.trajectory import Trajectory
-from tests.helpers.records import DOWN, NOISY, RATE, coloured_noise, moving_hand, record, series_of, turn_record
+from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, series_of, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
 ORIENTATIONS = [DOWN, *Rotation.from_quat(np.random.default_rng(5).normal(size=(3, 4)))]
@@ -64,6 +64,13 @@ def test_the_tare_removes_any_constant_bias(start: Rotation):
     hand = moving_hand(start, (1, 1, 3), np.arange(6.0))
     biased = dataclasses.replace(hand, sensor_wrench=hand.sensor_wrench + BIAS)
     assert_allclose(compensate(biased).wrench_on_object_world, compensate(hand).wrench_on_object_world, atol=1e-9)
+
+
+def test_the_weight_of_a_held_object_has_the_agreed_sign():
+    weight = np.where(np.arange(400)[:, None] < 100, 0.0, [0, 0, -2.0 * GRAVITY, 0, 0, 0])  # sensor z is down
+    lever = np.cross(TOOL.tcp, weight[:, :3])
+    loaded = record(sensor_wrench=np.hstack([weight[:, :3], lever]))
+    assert_allclose(compensate(loaded).wrench_on_object_world[-1], [0, 0, 19.62, 0, 0, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("lacks", "said"), [({"tare": 0}, "no samples in phase TARE"), ({"tool": None}, "no tool")])
@@ -280,6 +287,21 @@ def test_the_bias_covariance_is_made_of_the_responses_to_unit_biases(yaw: float,
     assert_allclose(move @ np.diag(hand.sensor_bias_std**2) @ move.T, expected, atol=1e-12)
     (window,) = steady_windows(hand)
     assert_allclose(window.bias_covariance, expected, atol=1e-12)
+
+
+def test_the_bias_covariance_of_a_sensor_straight_above_the_grasp():
+    # sensor z down and turned by a right angle: its x and y are the object's y and x
+    turned = Rotation.from_euler("z", 0.9 - np.pi / 2) * DOWN
+    std = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.03])
+    tool = dataclasses.replace(TOOL, tcp=np.array([0.0, 0.0, 0.2]))
+    pose = np.tile([0.3, 0.2, 0.9], (400, 1))
+    (window,) = steady_windows(record(orientation=turned, object_pose=pose, sensor_bias_std=std, tool=tool))
+    expected = np.array([0.2, 0.1, 0.3, 0.0, 0.0, 0.03]) ** 2
+    expected[3:5] = [0.02**2 + 0.2**2 * 0.1**2, 0.01**2 + 0.2**2 * 0.2**2]
+    assert_allclose(np.diag(window.bias_covariance), expected, atol=1e-12)
+    # a force off the axis of the tool comes with its lever: 0.2 m below the sensor
+    assert abs(window.bias_covariance[0, 4]) == pytest.approx(0.2 * 0.2**2)
+    assert abs(window.bias_covariance[1, 3]) == pytest.approx(0.2 * 0.1**2)
 
 
 def test_the_bias_covariance_of_a_scale_is_its_own():

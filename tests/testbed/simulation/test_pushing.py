@@ -87,7 +87,7 @@ def test_a_fingertip_slides_along_a_face_without_bouncing():
 @pytest.mark.slow
 def test_playback_shows_the_fingertip_at_the_object():
     """The hand is closed; the drawn fingertip touches the outline where the record has it."""
-    clean = through_the_middle()
+    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)))
     fingertip = clean.action.fingertip(BLOCKS.shape)
     assert fingertip is not None
     shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)

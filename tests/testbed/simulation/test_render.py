@@ -257,19 +257,22 @@ def test_a_picture_is_lit_and_shows_table_arm_and_object(drawn, name):
 
 def test_trials_are_listed_by_object_support_and_grasp(tmp_path, capsys):
     made = [("I1", "rigid", None), ("I1", "own_weight", 1), ("L2", "rigid", 0), ("I1", "own_weight", 0)]
+    made += [("hammer", "own_weight", 0)]
     for key, (name, support, grasp) in enumerate(made):
-        action = {"kind": "weigh"} if grasp is None else {"kind": "rotate", "grasp": grasp}
+        kind = "slide" if name == "hammer" else "rotate"
+        action = {"kind": "weigh"} if grasp is None else {"kind": kind, "grasp": grasp}
         content = {"asked": {"support": support, "action": action}, "names": {"object": name, "grasps": ["A1", "B1"]}}
         write_json(tmp_path / "trials" / f"{key:08}" / "trial.json", content | {"status": "ok"})
     write_json(tmp_path / "trials" / "of_other_format" / "trial.json", {})
     main(["view", str(tmp_path), "--film"])
     cells = [line.split()[1::2] for line in capsys.readouterr().out.splitlines() if line.count("│") > 5]
-    assert len(cells) == 5, "the one of another format too"
+    assert len(cells) == 6, "the one of another format too"
     assert [row for row in cells if row[1] != "?"] == [
         ["00000003", "I1", "own_weight", "A1", "rotate", "ok"],
         ["00000001", "I1", "own_weight", "B1", "rotate", "ok"],
         ["00000000", "I1", "rigid", "-", "weigh", "ok"],
         ["00000002", "L2", "rigid", "A1", "rotate", "ok"],
+        ["00000004", "hammer", "own_weight", "A1", "slide", "ok"],
     ]
 
 

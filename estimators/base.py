@@ -200,7 +200,7 @@ def _check_diagnostics(values: dict[str, float]) -> None:
     for name, value in values.items():
         if not isinstance(name, str) or not isinstance(value, int | float | np.integer | np.floating | np.bool_):
             raise InvalidValueError(f"Estimate.diagnostics[{name!r}]", value, "a number, by a name")
-    if (misfit := values.get("misfit", 0.0)) < 0:
+    if (misfit := values.get("misfit", 0.0)) < -ROUNDING:
         raise InvalidValueError("Estimate.diagnostics['misfit']", misfit, "a mean square, >= 0")
 
 

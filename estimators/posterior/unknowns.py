@@ -44,7 +44,7 @@ class Block:
 
         Args:
             z: where the step begins.
-            step: step, first of all as one of z.
+            step: step of z, to first order.
             inverse: True for a step that is straight in the inverse of a positive parameter.
         """
         if not self.positive:

@@ -89,7 +89,9 @@ def test_no_truth_is_within_reach() -> None:
 def test_errors_are_of_the_size_that_is_claimed(estimator: Estimator, pytestconfig: pytest.Config) -> None:
     if pytestconfig.getoption("--estimator-support") == "rigid":
         pytest.skip("not claimed: own_weight")
-    checked(partial(claims_errors_of_their_size, estimator, [load_block(name) for name in CLAIMED]))
+    slack: Any = pytestconfig.getoption("--estimator-slack")
+    blocks = [load_block(name) for name in CLAIMED]
+    checked(partial(claims_errors_of_their_size, estimator, blocks, slack=slack))
 
 
 def test_known_block(

@@ -51,7 +51,9 @@ def import_(
         grasps: with --find, grasps of the first actions, where the motion is consistent with several.
     """
     if grasps and not find:
-        raise InvalidValueError("--grasps", list(grasps), "with --find alone; a mapping names the grasp of its action")
+        raise InvalidValueError(
+            "--grasps", list(grasps), "only with --find; otherwise a mapping names the grasp of its action"
+        )
     if find:
         from scenarios.cli.find import show_found
 
@@ -74,8 +76,8 @@ def import_(
     state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
     scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
     useless = all(not log.trajectory.ok or _shows_nothing(log.trajectory) for log in imported)
-    after = f"heft estimate {out}{scale}"
-    if wrong or useless:
+    after = "what is said of the trials above" if useless else f"heft estimate {out}{scale}"
+    if wrong:
         after = f"correct {mapping}, its units and signs too, and import again"
     print(f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {state}; next: {after}")
     if bad or wrong:

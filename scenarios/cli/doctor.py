@@ -89,10 +89,10 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | str]
     shape, store, keys = estimate_view(folder, row).shape, Store(folder), tuple(row["trial_keys"])
     weighing, *moved = sensed_trials(store, keys, row["sensing"], int(row["seed"]))
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
-    logs = [store.trajectory(key).provenance.get("log") for key in keys[1:]]
+    sources = [store.trajectory(key).provenance for key in keys[1:]]
     words = [
-        f"{i}: {trial.action.describe(shape)}" + (f", {log}" if log else "")
-        for i, (trial, log) in enumerate(zip(moved, logs, strict=True), start=1)
+        ", ".join([f"{i}: {trial.action.describe(shape)}", *(source[n] for n in ("log", "stretch") if n in source)])
+        for i, (trial, source) in enumerate(zip(moved, sources, strict=True), start=1)
     ]
     if wrong := wrong_motion(shape, moved):
         return title, words, "; ".join(["the trials are not what their actions say", *wrong])

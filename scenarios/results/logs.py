@@ -24,6 +24,9 @@ from testbed.trajectory import SCHEMA_VERSION, Trajectory
 from testbed.trial import Support, Trial, parse_support, support_of
 from testbed.validation import check_kilograms
 
+LONGEST_NAME = 200
+"""Longest beginning of an error that may be the name of a file."""
+
 
 @dataclass(frozen=True, eq=False)
 class ImportedLog:
@@ -128,8 +131,12 @@ def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
 
 def placed_in(place: str, error: HeftError) -> LogError:
     """The error, each line beginning with a log's place where it names no file."""
-    lines = str(error).splitlines()
-    return LogError("\n".join(line if Path(line.split(": ")[0]).exists() else f"{place}: {line}" for line in lines))
+
+    def named(line: str) -> bool:
+        file = line.split(": ", maxsplit=1)[0]
+        return len(file) < LONGEST_NAME and Path(file).exists()
+
+    return LogError("\n".join(line if named(line) else f"{place}: {line}" for line in str(error).splitlines()))
 
 
 def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any]) -> str:

@@ -37,6 +37,8 @@ SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 """What pandas says of a row that is longer than those before, its line counted from 1."""
+_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_UNIT = re.compile(r"[\[(]?(k?N|kgf|lbf|m?N[ *.]?m{1,2}|[mcu]?m|[mun]?s|rad|deg|°)( ?/ ?s)?[\])]?")
 EPISODE = "episode_index"
 """Column of LeRobot's data that says which episode a row is of."""
 
@@ -173,9 +175,10 @@ class TableLog:
             at = int(wrong[0])
             got = f"{self.path}: {self._row} {cells.index[at]}: {name}: got {short(cells.iloc[at])}"
             hint = ""
-            if self._decimal != "," and re.fullmatch(r"[-+]?\d+,\d+", str(cells.iloc[at]).strip()):
+            cell = str(cells.iloc[at]).strip()
+            if self._decimal != "," and _COMMA.fullmatch(cell):
                 hint = '; of decimal commas, decimal = "," in the mapping'
-            elif at == 0 and len(wrong) == 1:
+            elif at == 0 and _UNIT.fullmatch(cell):
                 hint = "; a line of units below the names is no row: delete it"
             raise LogError(f"{got}; allowed: {allowed}, or blank{hint}")
 

@@ -123,7 +123,7 @@ def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[str]) -> Fi
             axis.barh(has, middle, height=0.8, color=color, alpha=0.18, linewidth=0)
         axis.hlines(at, low, high, color=color, linewidth=1.0, alpha=0.6)
         axis.plot(middle, at, color=color, marker=marker, markersize=4, linestyle="none", label=method)
-        every.append(middle)
+        every += [low, middle, high]
     axis.set_yticks(range(len(values)), values)
     axis.set_ylim(len(values) - 0.5, -0.5)
     _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))

@@ -7,6 +7,7 @@ closing direction turns all centers alike, a wrong TCP moves them alike, and a w
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,7 @@ from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import UNSTATED
-from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from testbed.worlds.setup_errors import EXACT_SETUP, PARAMETERS, SetupErrors
 
 LEVER = 0.005
 """Distance of pivot and grasp from which a turn shows the closing direction [m]."""
@@ -60,9 +61,10 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         kind = "stated"
     angle, offset, left, spread = fits[kind]
     findings += _common(angle, offset, spread, named, setup)
-    allowed = CENTER_ALLOWED + SURE * setup.grasp_offset
-    for (action, _), at, miss in zip(turned, seen, left, strict=True):
-        if miss > allowed:
+    held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
+    allowed = CENTER_ALLOWED + SURE * held
+    for (action, _), at, miss, most in zip(turned, seen, left, allowed, strict=True):
+        if miss > most:
             findings.append(_wrong(shape, action, rotation_2d(-angle) @ (at - offset), miss))
     if not any(f.what == "center" for f in findings):
         worst = float(left.max())
@@ -88,9 +90,10 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
 
 def _stated(trajectories: Sequence[Trajectory]) -> SetupErrors:
-    """Errors of the setup that trials state; none where nothing is stated."""
-    stated = [t.setup for t in trajectories if t.setup != UNSTATED]
-    return SetupErrors.largest(stated) if stated else EXACT_SETUP
+    """Errors of the setup that trials state; none where the default of what is not stated stands."""
+    largest = SetupErrors.largest([t.setup for t in trajectories]) if trajectories else EXACT_SETUP
+    defaults = {name for name in PARAMETERS if getattr(largest, name) == getattr(UNSTATED, name)}
+    return replace(largest, **{name: getattr(EXACT_SETUP, name) for name in defaults})
 
 
 def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:
@@ -129,8 +132,9 @@ def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray, 
     lever, count = float(np.sqrt(((named - named.mean(axis=0)) ** 2).sum())), len(named)
     findings = []
     if (named**2).sum() > LEVER**2:
-        error = spread / max(lever, float(np.linalg.norm(named[0])) if count < 3 else lever, 1e-3)
-        ok = abs(angle) <= CLOSING_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle])
+        reach = max(lever, float(np.linalg.norm(named[0])) if count < 3 else lever, 1e-3)
+        error, held = spread / reach, [setup.grasp_offset / reach, (count < 3) * setup.tcp_offset / reach]
+        ok = abs(angle) <= CLOSING_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle, *held])
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
         text += "" if ok else f": correct closing_deg by {np.degrees(angle):+.0f}, or the grasps' angles"
         findings.append(Finding("closing direction", bool(ok), angle, text))

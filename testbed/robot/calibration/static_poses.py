@@ -209,7 +209,11 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))
     if (away := float(np.linalg.norm(com))) > FARTHEST:
-        units = {10: "force kgf (force_unit)", 1e3: "torque N mm (torque_unit)", np.inf: "torque another (torque_unit)"}
+        units = {
+            10: "force kgf (force_unit), or that of the torque N cm (torque_unit)",
+            1e3: "torque N mm (torque_unit)",
+            np.inf: "torque another (torque_unit)",
+        }
         unit = next(unit for times, unit in units.items() if away < times * FARTHEST)
         raise CalibrationError(
             f"calibration: the tool's center of mass comes out {away:.3g} m from the sensor; allowed: {FARTHEST:g} m; "

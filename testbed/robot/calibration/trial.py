@@ -69,7 +69,7 @@ def check_trial(
         windows: steady stretches of turns and slides, from `steady_windows`.
         mass: of the object [kg], if known.
         center: center of mass from the TCP while it hung [m], world axes, if known.
-        setup: stated errors of the setup, which are allowed besides.
+        setup: stated errors of the setup, which turns and slides are allowed besides.
 
     Raises:
         InvalidValueError: wrong shapes, or a mass not above 0.

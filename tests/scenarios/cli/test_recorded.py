@@ -165,7 +165,7 @@ def test_an_estimate_is_not_advised_where_no_trial_is_data(
     for i, record in enumerate(records):
         write_csv(lab / f"{i}.csv", tared_again(record, 0.5))
     assert ended("import", "lab.toml", "--out", "drifted", "--weight", "1.8") == 1
-    assert "next: correct lab.toml, its units and signs too, and import again" in capsys.readouterr().out
+    assert "4 of them not usable; next: what is said of the trials above" in capsys.readouterr().out
 
 
 def test_doctor_names_a_wrong_axis_before_any_cause(
@@ -188,7 +188,7 @@ def test_doctor_names_a_wrong_axis_before_any_cause(
     ("words", "said"),
     [
         (("import", "none.toml", "0.csv"), "none.toml: cannot be read: No such file"),
-        (("import", "lab.toml", "--grasps", "A3"), "--grasps: got ['A3']; allowed: with --find alone"),
+        (("import", "lab.toml", "--grasps", "A3"), "--grasps: got ['A3']; allowed: only with --find"),
         (("import", "lab.toml", "9.csv"), "log: got '9.csv'; allowed: an existing file (.csv, "),
         (("import", "lab.toml", "--weight", "-1"), "--weight: got -1.0; allowed: "),
         (("import", "lab.toml", "--weight", "1800"), "--weight: got 1800.0; allowed: a number > 0 and < 100, kg"),

@@ -7,6 +7,7 @@ alike, so the force points along the motion; and friction flips with the motion,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -143,7 +144,8 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
     flips = max(float(abs(flipping)), 1e-9)
     left = float(abs(staying)) / flips
-    ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * error
+    tared = float(np.sqrt(there.bias_covariance[5, 5]))  # the error of its tare that the sensor states
+    ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * math.hypot(error, tared)
     text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
     why = "" if ok else ": a bias that the tare left, or a cable that pulls"
     return Finding("there and back", bool(ok), left, text + why)

@@ -106,7 +106,7 @@ def test_mujoco_sysid_is_judged_on_the_support_of_its_scene():
         pytest.skip(str(error))
     cases: list[tuple[SupportModel, KnownBlock, KnownBlock]] = [("own_weight", OWN, RIGID), ("rigid", RIGID, OWN)]
     for support, right, wrong in cases:
-        method = MujocoSysid(iterations=3, support=support)
+        method = MujocoSysid(iterations=4, support=support)
         found, missed = (method.estimate(SHAPE, b.weighed(SENSING), trials_of(b)[2:5], 0) for b in (right, wrong))
         # its search ends early on I2; on the wrong support no search would do
         assert found.diagnostics["misfit"] < missed.diagnostics["misfit"] / 3, support

@@ -49,7 +49,8 @@ def priors(
     typical, model = weight / float(shape.particles_per_group.sum()), ParticleModel.of(shape)
     blocks = {
         "mass": Block.log_normal(typical * np.exp(-0.5), MASS_STD, shape.n_m),
-        "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu),
+        # masses that change with the inverse of several frictions leave the loads that trials show as they are
+        "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu, inverse=shape.n_mu > 1),
     }
     pattern, uneven = unevenness(setup, model)
     if uneven:

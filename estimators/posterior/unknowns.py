@@ -26,6 +26,8 @@ class Block:
     """True for a log-normal prior."""
     by_trial: bool = False
     """True for a value per trial: the leading axis is the trial."""
+    inverse: bool = False
+    """True for a positive parameter of which steps are straight in its inverse."""
 
     def value(self, z: Float[Tensor, "n"]) -> Tensor:
         """Parameter in its own unit."""
@@ -37,19 +39,14 @@ class Block:
         off = (value.clamp(min=SMALLEST).log() if self.positive else value) - self.mean
         return torch.where(self.std > 0, off / self.std, 0.0).flatten()
 
-    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"], *, inverse: bool = False) -> Float[Tensor, "n"]:
-        """z after a step that is straight in the parameter itself, also where its logarithm has the prior.
+    def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """z after a step that is straight in the parameter or its inverse, also where its logarithm has the prior.
 
-        A positive parameter, or its inverse, below half of its value falls exponentially.
-
-        Args:
-            z: where the step begins.
-            step: step of z, to first order.
-            inverse: True for a step that is straight in the inverse of a positive parameter.
+        Where one of these falls below half of its value, it falls exponentially.
         """
         if not self.positive:
             return z + step
-        std, side = self.std.flatten(), -1.0 if inverse else 1.0
+        std, side = self.std.flatten(), -1.0 if self.inverse else 1.0
         part = side * std * step
         beyond = (part + 0.5).clamp(max=0)
         logarithm = torch.log1p(part.clamp(min=-0.5)) + beyond + beyond.expm1()
@@ -71,10 +68,10 @@ class Block:
         return Block(value, torch.zeros_like(value))
 
     @staticmethod
-    def log_normal(median: float | Tensor, std: float, count: int) -> Block:
+    def log_normal(median: float | Tensor, std: float, count: int, *, inverse: bool = False) -> Block:
         """Positive parameter by its median and the standard deviation of its logarithm."""
         mean = torch.as_tensor(median, dtype=torch.float64).log().expand(count)
-        return Block(mean, torch.full((count,), std, dtype=torch.float64), positive=True)
+        return Block(mean, torch.full((count,), std, dtype=torch.float64), positive=True, inverse=inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +104,11 @@ class Unknowns:
         return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
 
     def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """z after a step, straight in the parameters' own units, and in the inverse of several frictions.
+        """z after a step, straight in the parameters' own units or their inverses.
 
-        Sums of masses, which are weighed, stay linear. One friction is linear in the loads that trials show; several
-        leave them as they are where masses change with the inverse of their friction.
+        Sums of masses, which are weighed, stay linear.
         """
-        found = []
-        for name, block in self.blocks.items():
-            inverse, where = name == "friction" and block.mean.numel() > 1, self.at[name]
-            found.append(block.stepped(z[where], step[where], inverse=inverse))
-        return torch.cat(found)
+        return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
 
     def given(self, **values: Tensor) -> Unknowns:
         """Unknowns with some parameters known."""

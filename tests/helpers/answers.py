@@ -78,7 +78,7 @@ def shown_in_the_air(
     setup = SetupErrors.largest([trials[trial].setup for trial in lifts])
     blocks = {
         "mass": Block.log_normal(weight / len(shape.particles), MASS_STD, shape.n_m),
-        "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu),
+        "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu, inverse=shape.n_mu > 1),
     }
     for name, size in stated_sizes(setup, ("air", "reading"), shape.n_m).items():
         if PARAMETERS[name].scope != "trial":

@@ -66,8 +66,9 @@ def import_(
 
     with show_progress() as progress:
         imported = import_logs(mapping, logs, out, support, weight, progress)
-    for log in imported:
-        print(_summary(log))
+    nothing = [_shows_nothing(log.trajectory) for log in imported]
+    for log, why in zip(imported, nothing, strict=True):
+        print(_summary(log, why))
     model = imported[0].object
     wrong = wrong_motion(model.shape, [log.trajectory for log in imported])
     for text in wrong:
@@ -75,7 +76,7 @@ def import_(
     bad, name = sum(not log.trajectory.ok for log in imported), model.name
     state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
     scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
-    useless = all(not log.trajectory.ok or _shows_nothing(log.trajectory) for log in imported)
+    useless = all(not log.trajectory.ok or why for log, why in zip(imported, nothing, strict=True))
     after = "what is said of the trials above" if useless else f"heft estimate {out}{scale}"
     if wrong:
         after = f"correct {mapping}, its units and signs too, and import again"
@@ -136,14 +137,13 @@ def calibrate(
             print(path)
 
 
-def _summary(log: ImportedLog) -> str:
-    """Reading of a log in words, for the operator to check."""
+def _summary(log: ImportedLog, nothing: str) -> str:
+    """Reading of a log in words, for the operator to check; `nothing` is why no estimate uses it, if none does."""
     from testbed.replay import Recording
 
     trajectory, facts = log.trajectory, log.trajectory.provenance
     why = f": {trajectory.reason}" if trajectory.reason else ""
     action = Recording(log.path, trajectory.action, log.object.name, None).description
-    nothing = _shows_nothing(trajectory)
     return (
         f"{trajectory.status:8}{log.place}: {action}: trial {log.key[:8]}{why}\n"
         f"        {trajectory.time_s[-1]:.1f} s; phases {facts['phases']}; velocity {facts['velocity']}; "

@@ -81,18 +81,17 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | str]
     """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
     from estimators.posterior.diagnosis import diagnose
     from scenarios.results.store import Store
-    from scenarios.results.trials import sensed_trials
+    from scenarios.results.trials import log_of_trial, sensed_trials
     from scenarios.views.values import estimate_view
     from testbed.robot.calibration.motion import wrong_motion
     from testbed.sensing.windows import weight_of
 
-    shape, store, keys = estimate_view(folder, row).shape, Store(folder), tuple(row["trial_keys"])
-    weighing, *moved = sensed_trials(store, keys, row["sensing"], int(row["seed"]))
+    shape, keys = estimate_view(folder, row).shape, tuple(row["trial_keys"])
+    weighing, *moved = sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"]))
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
-    sources = [store.trajectory(key).provenance for key in keys[1:]]
     words = [
-        ", ".join([f"{i}: {trial.action.describe(shape)}", *(source[n] for n in ("log", "stretch") if n in source)])
-        for i, (trial, source) in enumerate(zip(moved, sources, strict=True), start=1)
+        ", ".join([f"{i}: {trial.action.describe(shape)}", *log_of_trial(folder, key)])
+        for i, (trial, key) in enumerate(zip(moved, keys[1:], strict=True), start=1)
     ]
     if wrong := wrong_motion(shape, moved):
         return title, words, "; ".join(["the trials are not what their actions say", *wrong])

@@ -82,10 +82,11 @@ def import_logs(
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
     support = support_of(model.shape, support_name)
     sources = [_source(path, entry, content, mapping.parent) for path, entry in entries]
-    for i, (path, _) in enumerate(entries):
-        if sources[i] in sources[:i]:
-            first = entries[sources.index(sources[i])][0]
-            raise InvalidValueError("LOG", str(path), f"each recording once: {first} is the same")
+    first: dict[str, Path] = {}
+    for (path, _), source in zip(entries, sources, strict=True):
+        if (same := key_of(source)) in first:
+            raise InvalidValueError("LOG", str(path), f"each recording once: {first[same]} is the same")
+        first[same] = path
     with exclusive(out):
         store = Store(out.absolute())
         store.remove_leftovers()

@@ -147,9 +147,24 @@ def kind_of_trial(root: Path, key: str) -> str:
         DamagedFileError: it is damaged.
     """
     try:
-        return str((read_json(inside(root, "trials", key, "trial.json")) or {})["asked"]["action"]["kind"])
+        return str(_asked(root, key)["action"]["kind"])
     except (KeyError, TypeError):
         return ""
+
+
+def log_of_trial(root: Path, key: str) -> list[str]:
+    """Log and stretch of which a trial was imported; empty of others.
+
+    Raises:
+        DamagedFileError: its trial.json is damaged.
+    """
+    source = _asked(root, key).get("import", {})
+    return [source[name] for name in ("log", "stretch") if name in source]
+
+
+def _asked(root: Path, key: str) -> dict[str, Any]:
+    """Request of a trial, as its trial.json has it."""
+    return (read_json(inside(root, "trials", key, "trial.json")) or {}).get("asked", {})
 
 
 def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axis import Axis
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
@@ -143,15 +143,12 @@ def axis_label(axis_column: str) -> str:
     return f"{name}, {unit}" if unit else name
 
 
-def _scale(axis: Axis, values: np.ndarray) -> None:
+def _scale(axis: XAxis | YAxis, values: np.ndarray) -> None:
     """Make an axis logarithmic where values are positive and span much; linear in the first decade with zeros."""
     positive = values[values > 0]
     if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
         return
-    across = axis is axis.axes.xaxis
-    set_scale, set_limits = (
-        (axis.axes.set_xscale, axis.axes.set_xlim) if across else (axis.axes.set_yscale, axis.axes.set_ylim)
-    )
+    set_scale, set_limits = (getattr(axis.axes, f"set_{axis.axis_name}{what}") for what in ("scale", "lim"))
     if len(positive) < len(values):
         set_scale("symlog", linthresh=10 ** np.floor(np.log10(positive.min())))
         set_limits(0.0, BEYOND * positive.max())

@@ -1,4 +1,4 @@
-"""What the scripts share: options, tables, and worker processes."""
+"""Options, tables and worker processes of the scripts."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ MOST_LETTERS = 2**17
 SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
-"""What pandas says of a row that is longer than those before, its line counted from 1."""
+"""Message of pandas on a row longer than those before, with its line, counted from 1."""
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _UNIT = re.compile(r"[\[(]?(k?N|kgf|lbf|m?N[ *.]?m{1,2}|[mcu]?m|[mun]?s|rad|deg|°)( ?/ ?s)?[\])]?")
 EPISODE = "episode_index"

@@ -15,7 +15,7 @@ def ended(*words: str) -> int:
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """What a refused command says, in one line; its exit code is 2."""
+    """Message of a refused command, in one line; its exit code is 2."""
     capsys.readouterr()
     assert ended(*words) == 2
     said = capsys.readouterr().err

@@ -90,7 +90,7 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
 
 def _stated(trajectories: Sequence[Trajectory]) -> SetupErrors:
-    """Errors of the setup that trials state; none where the default of what is not stated stands."""
+    """Errors of the setup that trials state; one at its default counts as not stated, and as 0."""
     largest = SetupErrors.largest([t.setup for t in trajectories]) if trajectories else EXACT_SETUP
     defaults = {name for name in PARAMETERS if getattr(largest, name) == getattr(UNSTATED, name)}
     return replace(largest, **{name: getattr(EXACT_SETUP, name) for name in defaults})

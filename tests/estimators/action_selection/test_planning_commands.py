@@ -45,7 +45,7 @@ COMMANDS = {
         ("1 action(s)", "the target of 1 % is not reached", "open:"),
         "plan/actions/scene/1/way",
     ),
-    "pushes of what cannot be gripped": (
+    "pushes of an object without a grasp": (
         "slab.toml --until 5% --most 2 --candidates 8",
         ("2 action(s)", "push at", "the target of 5 % is not reached"),
         "plan/actions/scene/1/way",

@@ -1,4 +1,4 @@
-"""What the hand does not hold, links behind hinges and pushed objects: physics, windows, and answers of methods."""
+"""Physics, windows and answers of objects that the hand does not hold: links behind hinges, and pushed objects."""
 
 import math
 from dataclasses import replace

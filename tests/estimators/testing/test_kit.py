@@ -33,7 +33,7 @@ from testbed.sensing.presets import PRESETS
 
 OWN_WEIGHT = [name for name in block_names() if name.endswith("own_weight")]
 FEW = ("L2-own_weight", "drawn_a-own_weight", "two_frictions-own_weight")
-"""Of one kind each; the whole kit recovers the others too."""
+"""Blocks, one of each kind; the whole kit recovers the others too."""
 
 
 def estimator(estimate: Callable[..., Estimate], **more: Callable[..., Any]) -> Estimator:

@@ -1,4 +1,4 @@
-"""Object files: what the library holds, what a wrong file is told, and files of absurd sizes."""
+"""Object files: contents of the library, refusals of wrong files, and files of absurd sizes."""
 
 import json
 import shutil

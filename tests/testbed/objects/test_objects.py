@@ -216,7 +216,7 @@ SEEN_BY = {
 }
 """Linear RGB as it looks to eyes without a kind of cone (Machado 2009)."""
 LEAST = 0.08
-"""Least distance in OKLab at which two patches are told apart with ease; from black to white it is 1."""
+"""Least distance in OKLab between two patches that are easy to distinguish; black and white are 1 apart."""
 
 
 def oklab(linear: np.ndarray) -> np.ndarray:

@@ -113,11 +113,12 @@ def diagnose(shape: ObjectShape, weight: float, trajectories: Sequence[Trajector
     found = posterior_of(shape, weight, trajectories, support)
     if found is None:
         return None
+    answer = found.leaning() if support == "own_weight" else found
     part = next(
-        (part for part in found.parts if part.implausible and not (part.of_rows and part.trial is not None)), None
+        (part for part in answer.parts if part.implausible and not (part.of_rows and part.trial is not None)), None
     )
     stated = SetupErrors.largest([trial.setup for trial in trajectories])
-    diagnosis = Diagnosis(found.explained, found.by_trial, larger_than_stated(found, stated), part)
+    diagnosis = Diagnosis(answer.explained, answer.by_trial, larger_than_stated(found, stated), part)
     if diagnosis.misfit.by_chance:
         return diagnosis
     if support == "own_weight" and shape.chain is None and not diagnosis.misfit.explains:

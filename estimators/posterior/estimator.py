@@ -68,7 +68,8 @@ class Bayes:
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]
     ) -> Posterior | None:
         """Posterior of an object from its trials, by these settings; None where no trial is usable."""
-        return posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
+        found = posterior_of(shape, weight, trajectories, self.support, unknown_bias=self.unknown_bias)
+        return found.leaning() if found is not None and self.support == "own_weight" else found
 
 
 def posterior_of(

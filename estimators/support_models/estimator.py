@@ -93,7 +93,7 @@ class SupportAware:
         if own is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
         if rigid is None:  # links rest on their own weight, or nothing is known of their loads
-            return replace(own.estimate(shape), assumes=ASSUMPTION["own_weight"])
+            return replace(own.leaning().estimate(shape), assumes=ASSUMPTION["own_weight"])
         assert weight is not None
         return self._either(shape, weight, trajectories, own, rigid, seed)
 
@@ -128,6 +128,7 @@ class SupportAware:
         seed: int,
     ) -> Estimate:
         test = support_test(shape, weight, trajectories, own, rigid, self.false_alarms)
+        own = own.leaning()  # the test has the same prior for both supports
         as_rigid, on_own = test.log10_bayes_factor < -DECISIVE, own.estimate(shape)
         on_own = replace(on_own, diagnostics=on_own.diagnostics | test.diagnostics)
         holds = test.kind == "own_weight" and on_own.status != "unexplained"

@@ -12,9 +12,9 @@ from testbed.objects.model import ObjectShape
 SEED = 7
 
 
-def lab_trials(obj, count=4, seed=3):
+def lab_trials(obj, count=4, seed=3, pattern="corners"):
     rng = np.random.default_rng(seed)
-    feet, draw = contacts(obj, "corners", LAB, rng), Draw.of(LAB, rng)
+    feet, draw = contacts(obj, pattern, LAB, rng), Draw.of(LAB, rng)
     pivots = rng.uniform(-0.05, 0.05, (count, 2))
     actions = [Rotate(k % len(obj.shape.grasps), duration=4.0, pivot=tuple(p), back=True) for k, p in enumerate(pivots)]
     return [replace(flawed_trial(obj, a, feet, draw, rng, RATES[0]), setup=LAB) for a in actions]

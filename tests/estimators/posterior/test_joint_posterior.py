@@ -206,6 +206,20 @@ def test_a_radius_of_contact_that_blocks_share_is_recovered():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("index", [29, 66])
+def test_groups_that_stand_off_their_middles_are_known_less_well(index):
+    level, obj = (drawn(index, 4242, pattern) for pattern in ("corners", "pressed"))
+    found = joint(level, lab_trials(level, 8))
+    assert found.leaning() is found
+    found = joint(obj, lab_trials(obj, 8, pattern="pressed"))
+    answers = [each.estimate(obj.shape) for each in (found, found.leaning())]
+    off = [answer.distribution.group_mass(obj.shape) - obj.group_mass for answer in answers]
+    error = [answer.group_error(obj.shape) for answer in answers]
+    assert (error[1] > error[0]).mean() > 0.5
+    assert np.square(off[1] / error[1]).mean() < 0.8 * np.square(off[0] / error[0]).mean()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("setup", [EXACT_SETUP, LAB, PLASTIC], ids=["exact", "lab", "plastic"])
 def test_a_posterior_of_its_own_predictions_is_calibrated(setup):
     """Truth from the prior, readings from the forward model: errors are chi-squared by the covariance."""

@@ -209,12 +209,12 @@ def test_a_radius_of_contact_that_blocks_share_is_recovered():
 @pytest.mark.parametrize("index", [29, 66])
 def test_groups_that_stand_off_their_middles_are_known_less_well(index):
     level, obj = (drawn(index, 4242, pattern) for pattern in ("corners", "pressed"))
-    found = joint(level, lab_trials(level, 8))
-    assert found.leaning() is found
-    found = joint(obj, lab_trials(obj, 8, pattern="pressed"))
-    answers = [each.estimate(obj.shape) for each in (found, found.leaning())]
-    off = [answer.distribution.group_mass(obj.shape) - obj.group_mass for answer in answers]
-    error = [answer.group_error(obj.shape) for answer in answers]
+    posterior = joint(level, lab_trials(level, 8))
+    assert posterior.leaning() is posterior
+    posterior = joint(obj, lab_trials(obj, 8, pattern="pressed"))
+    answers = [each.estimate(obj.shape) for each in (posterior, posterior.leaning())]
+    off = [found(answer).group_mass(obj.shape) - obj.group_mass for answer in answers]
+    error = [claimed(answer) * obj.shape.particles_per_group for answer in answers]
     assert (error[1] > error[0]).mean() > 0.5
     assert np.square(off[1] / error[1]).mean() < 0.8 * np.square(off[0] / error[0]).mean()
 

@@ -25,6 +25,7 @@ from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
+ROWS = "residual", "slopes"
 OBJECT = ("mass", "friction")
 """Blocks of the object itself; all others are nuisances."""
 CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
@@ -35,9 +36,9 @@ LOOSE = 1 / 3
 """Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
-LEAST_SHOWN = 0.02
-"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it they show nothing,
-and what the search leaves of its optimum would count. Ours."""
+LEAST_SHOWN = 1e-8
+"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it rounding counts.
+Ours."""
 DISTANCE = 0.02
 """Step of z by which the change of a volume is taken."""
 LEAST_SHIFT = 0.05
@@ -232,10 +233,11 @@ class Posterior:
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:
                 continue
-            z = self.optimum.z[self.unknowns.at[name]]
+            where = self.unknowns.at[name]
+            z = self.optimum.z[where]
             if len(z) == 1:
-                shown = 1 - self.covariance.diagonal()[self.unknowns.at[name]]
-                z = z / shown.clamp(min=LEAST_SHOWN).sqrt()
+                shown = 1 - self.laplace.diagonal()[where]
+                z = self._settled[where] / shown.clamp(min=LEAST_SHOWN).sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, on_table[k] if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)
@@ -253,7 +255,7 @@ class Posterior:
         """Value of a nuisance of one number as the measurements alone have it, in its own unit."""
         where, block = self.unknowns.at[name], self.unknowns.blocks[name]
         precision = 1 / self.laplace[where, where]
-        return float(block.std * self.optimum.z[where] * precision / (precision - 1))
+        return float(block.std * self._settled[where] * precision / (precision - 1))
 
     @property
     def by_trial(self) -> dict[int, float]:
@@ -278,6 +280,12 @@ class Posterior:
     def laplace(self) -> Float[Tensor, "n n"]:
         """Covariance of z about the most likely unknowns."""
         return torch.linalg.inv(self._precision)
+
+    @cached_property
+    def _settled(self) -> Float[Tensor, "n"]:
+        """z one step beyond the optimum: what the search leaves counts where measurements show little of a number."""
+        residual, slopes = (torch.cat([getattr(row, name) for row in self._rows_at_optimum]) for name in ROWS)
+        return self.optimum.z - self.laplace @ (slopes.T @ residual + self.optimum.z)
 
     @property
     def _log_determinant(self) -> float:

@@ -59,8 +59,9 @@ class TableErrors:
             drag: friction of every particle, N.
             errors: errors of the model.
         """
+        unresolved = (table.unresolved @ drag.expand(len(table.unresolved), -1)[..., None]).detach()
         table = table.dragged(drag)
-        slopes, hinges = _slopes(windows, table, mass), windows.hinges
+        slopes, hinges = _slopes(windows, table, mass) | {"unresolved": unresolved}, windows.hinges
         planar, late = _of_motion(windows, table, slopes, drag, errors)
         # an error of the inertia is once of each trial, and once of all: that is an unknown
         late = torch.cat([late, errors.inertia_error * slopes["mass"] @ mass[:, None]], -1)
@@ -196,6 +197,7 @@ def _of_motion(
     held = ~windows.pushed[:, None, None]
     moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
     alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
+    alone.append(slopes["unresolved"])
     if "friction_law" in slopes:  # friction varies within a trial as it does between them
         alone.append(windows.setup.friction_law * slopes["friction_law"])
     late = [moved[..., :0]]  # an error of the clock is the same throughout a trial

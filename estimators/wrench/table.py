@@ -137,6 +137,15 @@ class Table:
 
         return vmap(each, chunk_size=self.chunk)(self.windows)
 
+    @cached_property
+    def unresolved(self) -> Float[Tensor, "K 3+H P"]:
+        """Change of `drag_rows` by half as many parts: about what a motion that changes within a part leaves out."""
+        rates = self.windows["rates"]
+        even = rates.shape[1] // 2 * 2
+        mean = rates[:, :even].unflatten(1, (-1, 2)).mean(2).repeat_interleave(2, 1)
+        halved = self.windows | {"rates": torch.cat([mean, rates[:, even:]], 1)}
+        return self.drag_rows() - replace(self, windows=halved).drag_rows()
+
     @property
     def at_middles(self) -> Table:
         """The windows with every particle on its middle."""

@@ -272,8 +272,10 @@ def test_sizes_are_in_words():
 
 
 @pytest.mark.parametrize("method", [HiddenStates(), Bayes(), LeastSquares()], ids=lambda method: type(method).__name__)
-@pytest.mark.parametrize(("name", "part"), [("I2-own_weight", 0.95), ("L2-own_weight", 0.95)])
-def test_a_weight_that_is_wrong_by_a_twentieth_shows_in_accelerated_turns(name: str, part: float, method: Estimator):
+@pytest.mark.parametrize(("name", "part"), [("I2-own_weight", 0.95), ("L2-own_weight", 0.95), ("I2-own_weight", 0.3)])
+def test_a_weight_that_is_wrong_by_a_twentieth_or_by_far_shows_in_accelerated_turns(
+    name: str, part: float, method: Estimator
+):
     block = load_block(name)
     for seed in (0, 1):
         trials, weight = block.trials("ft300s", seed), block.weighed("ft300s", seed)

@@ -76,6 +76,17 @@ def test_the_wrench_of_given_masses_is_that_of_coulomb_and_newton(obj, trials, w
     assert (np.abs(missing(obj, records)) <= within * measured).all()
 
 
+def test_the_mean_over_parts_errs_by_less_than_half_as_many_parts_change_it():
+    turn, errors = Rotate(0, pivot=tuple(OBJECT.shape.grasps[0].position + BESIDE), duration=30.0), {}
+    for wander in (0.0, 0.008):
+        trials = [analytic_trial(OBJECT, turn, wander=wander)]
+        table, _ = at_truth(OBJECT, windows_of(OBJECT, trials))
+        left_out = (table.unresolved @ table.windows["drag"][..., None])[..., 0]
+        errors[wander] = np.abs(missing(OBJECT, trials)).max(), left_out.abs().max()
+    assert max(errors[0.0]) < 1e-9
+    assert 1e-4 < errors[0.008][0] < errors[0.008][1]
+
+
 def test_friction_that_no_unknown_names_is_that_of_all_points():
     trials = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in turns(OBJECT)]
     table, truth = at_truth(OBJECT, windows_of(OBJECT, trials))

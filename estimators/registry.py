@@ -45,6 +45,8 @@ METHODS: dict[str, type[Estimator]] = {
 }
 """heft's own methods by name; their settings are the fields of the class."""
 
+OR_LABEL = "package:Class, or any label with a method of these"
+
 
 def kind_of(label: str, settings: Mapping[str, Any]) -> str:
     """Name of the method of a label: its setting `method`, or the label itself."""
@@ -65,7 +67,7 @@ def check_method(label: str, settings: Mapping[str, Any]) -> None:
     if (name := kind_of(label, settings)) in METHODS:
         build_method(label, settings)
     else:
-        check_name(name, *_ANY)
+        check_name(name, ESTIMATOR, "methods", METHODS, OR_LABEL)
 
 
 def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
@@ -74,14 +76,14 @@ def build_method(label: str, settings: Mapping[str, Any]) -> Estimator:
     Raises:
         InvalidValueError: unknown method or setting, or a value out of range.
     """
-    kind = _class_of(kind_of(label, settings))
+    kind = class_of(kind_of(label, settings))
     own = {key: value for key, value in settings.items() if key != "method"}
     return configured(kind, own, f"methods.{label}", ("method",))
 
 
 def estimates_many(label: str, settings: Mapping[str, Any]) -> bool:
     """True for a method that takes many draws at once, a `BatchEstimator` of `estimators.base`."""
-    return callable(getattr(_class_of(kind_of(label, settings)), "estimate_many", None))
+    return callable(getattr(class_of(kind_of(label, settings)), "estimate_many", None))
 
 
 def check_installed(label: str, settings: Mapping[str, Any]) -> None:
@@ -99,16 +101,21 @@ def code_of(label: str, settings: Mapping[str, Any]) -> dict[str, str]:
     """Code and files that decide a method's answers beside settings and version: the source hash of one that is not
     heft's own, and the `fingerprint` of a file that it reads, where it has one."""
     name = kind_of(label, settings)
-    found = {} if name in METHODS else {"source": source_hash(_class_of(name))}
+    found = {} if name in METHODS else {"source": source_hash(class_of(name))}
     if name in METHODS and hasattr(METHODS[name], "fingerprint"):
         found["file"] = build_method(label, settings).fingerprint()  # pyright: ignore[reportAttributeAccessIssue]
     return found
 
 
-def _class_of(name: str) -> type[Estimator]:
-    if name in METHODS:
-        return METHODS[name]
-    return find_class(name, *_ANY)
+def class_of(name: str, field: str = "methods", also: str = OR_LABEL) -> type[Estimator]:
+    """Class of a method: heft's own, an installed one, or "package:Class".
 
+    Args:
+        name: name of the method.
+        field: what to call it in an error.
+        also: what else is allowed, for the error.
 
-_ANY = (ESTIMATOR, "methods", METHODS, "package:Class, or any label with a method of these")
+    Raises:
+        InvalidValueError: unknown method.
+    """
+    return METHODS[name] if name in METHODS else find_class(name, ESTIMATOR, field, METHODS, also)

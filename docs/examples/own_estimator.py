@@ -1,4 +1,7 @@
-"""An estimator of your own in one fit of force and torque, on a recorded block without a simulator."""
+"""An estimator of your own in one fit of force and torque, on a recorded block without a simulator.
+
+A sketch: it has no errors, and answers trials that say nothing. That of `docs/write_an_estimator.md` passes the kit.
+"""
 
 from dataclasses import dataclass
 

@@ -228,6 +228,8 @@ class Baseline(ABC):
         elif left > FAR_OFF:
             status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
             why += "the search is too short, or the trajectories contradict each other"
+        elif problem.shape.n_mu > 1 and (open_ := problem.report(at).unobservable):
+            status, why = "underdetermined", f"mass and friction cannot be told apart: {'; '.join(open_)}"
         return Estimate(
             at,
             status,

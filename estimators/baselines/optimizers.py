@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from cmaes import CMA
-from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
-from torch import Tensor
 
 from estimators.baselines.base import FIRST_DEVIATION, LogCoordinates, Peer, SearchResult
 from estimators.baselines.problem import Problem, Weighting
-from estimators.posterior.scale import Weighing
-from estimators.wrench.model import ModelErrors
 from testbed.errors import InvalidValueError
+from testbed.objects.model import MassDistribution
 from testbed.validation import check_positive
 
 RESTART = 0.01
@@ -128,20 +124,5 @@ class LeastSquares(Peer):
         found = objective.result("least_squares")
         if self.weighting != "covariance":
             return found
-        return replace(found, covariance=_covariance(problem, torch.tensor(found.mass), torch.tensor(found.friction)))
-
-
-def _covariance(
-    problem: Problem, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]
-) -> Float[np.ndarray, "n_m n_m"]:
-    """Covariance of the particle masses [kg^2] by the slopes of whitened wrenches; what no datum holds is not in it."""
-
-    def missed(mass: Tensor, friction: Tensor) -> Tensor:
-        return problem.residuals(mass, friction, "covariance")
-
-    slopes = torch.autograd.functional.jacobian(missed, (mass, friction))
-    rows = torch.cat(slopes, 1).numpy() * math.sqrt(len(problem.sensed.whiten))
-    if problem.weight is not None:
-        weighing = Weighing.of(problem.shape, ModelErrors.weight_error, problem.windows.setup)
-        rows = np.vstack([rows, weighing.row(rows.shape[1])])
-    return np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True)[: len(mass), : len(mass)]
+        report, count = problem.report(MassDistribution(found.mass, found.friction)), problem.shape.particles_per_group
+        return replace(found, covariance=report.covariance / np.outer(count, count))

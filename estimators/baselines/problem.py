@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -17,14 +18,16 @@ from estimators.hidden_states.equations import FrictionEquations
 from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
+from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import NO_DATA, ONE_PIECE, observe
+from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE, observe
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
+from estimators.posterior.scale import Weighing
 from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
-from testbed.objects.model import GRAVITY, ObjectShape, check_shape
+from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape, check_shape
 from testbed.trajectory import Trajectory
 
 STEP = 0.01
@@ -88,6 +91,8 @@ class Problem:
         check_shape(shape)
         if shape.chain is not None and not takes_links:
             return Estimate(None, "assumption_violated", ONE_PIECE)
+        if support != "rigid" and not shape.stands_in_groups:
+            return Estimate(None, "assumption_violated", ONE_BODY)
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return Estimate(None, "no_data", NO_DATA)
@@ -179,6 +184,15 @@ class Problem:
             return self._whitened(mass, friction) / math.sqrt(len(self.sensed.whiten))
         along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
         return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
+
+    def report(self, at: MassDistribution) -> Identifiability:
+        """Masses and frictions that whitened wrenches, and the weight where it is known, show at an answer."""
+        slopes = torch.autograd.functional.jacobian(self._whitened, (torch.tensor(at.mass), torch.tensor(at.friction)))
+        rows = torch.cat(slopes, 1).numpy()
+        if self.weight is not None:
+            weighing = Weighing.of(self.shape, ModelErrors.weight_error, self.windows.setup)
+            rows = np.vstack([rows, weighing.row(rows.shape[1])])
+        return identifiability(self.shape, at, rows)
 
     def _whitened(self, mass: Tensor, friction: Tensor) -> Float[Tensor, "... 6K"]:
         """Residuals of all six components in units of their errors."""

@@ -27,7 +27,7 @@ pytest.register_assert_rewrite("estimators.testing.conformance")
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options that name an estimator and what is required of it."""
     group = parser.getgroup("heft", "an estimator held to heft's rules: pytest --pyargs estimators.testing")
-    group.addoption("--estimator", metavar="PACKAGE:CLASS", help="the estimator; or the name of its entry point")
+    group.addoption("--estimator", metavar="PACKAGE:CLASS", help="the estimator; or its entry point, or heft's own")
     group.addoption("--estimator-settings", metavar="TOML", default="", help='as "iterations = 60, use_weight = true"')
     group.addoption(
         "--estimator-support",
@@ -62,9 +62,9 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     import torch  # noqa: PLC0415
 
-    from estimators.registry import ESTIMATOR  # noqa: PLC0415
+    from estimators.registry import class_of  # noqa: PLC0415
     from testbed.errors import InvalidValueError  # noqa: PLC0415
-    from testbed.plugins import configured, find_class, find_code_here  # noqa: PLC0415
+    from testbed.plugins import configured, find_code_here  # noqa: PLC0415
 
     torch.set_num_threads(1)
     find_code_here()  # named on the command line
@@ -75,8 +75,9 @@ def pytest_configure(config: pytest.Config) -> None:
         allowed = 'settings as TOML, such as "iterations = 60, use_weight = true"'
         raise pytest.UsageError(f"--estimator-settings: got {given!r}; allowed: {allowed}") from None
     try:
-        kind = find_class(str(name), ESTIMATOR, "--estimator")
-        config.stash[_ASKED] = configured(kind, settings, "--estimator-settings")
+        config.stash[_ASKED] = configured(
+            class_of(str(name), "--estimator", "or package:Class"), settings, "--estimator-settings"
+        )
     except InvalidValueError as error:
         raise pytest.UsageError(str(error)) from None
 

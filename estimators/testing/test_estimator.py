@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import cycle, product
+from traceback import extract_tb
 from typing import Any
 
 import numpy as np
@@ -48,15 +49,23 @@ def cases(*, thorough: bool) -> list[tuple[str, str]]:
     return [*product(own, [perfect]), *zip(own, cycle(others), strict=False), *zip(rigid, cycle(SENSORS), strict=False)]
 
 
-def checked(check: Callable[[], None], what: str = "") -> None:
-    """Run a check; a breach ends in its sentence, any other error with its traceback."""
-    breach = None
+_RAISED: set[tuple[str, int | None]] = set()
+"""Files and lines of errors whose traceback has been shown."""
+
+
+def checked(check: Callable[[], Any], what: str = "") -> Any:
+    """Result of a check; a breach ends in its sentence, any other error with its traceback, the first time."""
     try:
-        check()
+        return check()
     except AssertionError as error:
         breach = str(error).partition("\nassert ")[0]  # the sentence; what pytest makes of the line is left out
-    if breach is not None:
-        pytest.fail(f"{what}{breach}", pytrace=False)
+    except Exception as error:
+        last = extract_tb(error.__traceback__)[-1]
+        if (last.filename, last.lineno) not in _RAISED:
+            _RAISED.add((last.filename, last.lineno))
+            raise
+        breach = f"{type(error).__name__}: {error} (traceback above)"
+    pytest.fail(f"{what}{breach}", pytrace=False)
 
 
 @pytest.fixture(scope="session")
@@ -91,7 +100,8 @@ def test_errors_are_of_the_size_that_is_claimed(estimator: Estimator, pytestconf
         pytest.skip("not claimed: own_weight")
     slack: Any = pytestconfig.getoption("--estimator-slack")
     blocks = [load_block(name) for name in CLAIMED]
-    checked(partial(claims_errors_of_their_size, estimator, blocks, slack=slack))
+    if not checked(partial(claims_errors_of_their_size, estimator, blocks, slack=slack)):
+        pytest.skip(f"none of {len(blocks)} answers has status ok and a covariance")
 
 
 def test_known_block(

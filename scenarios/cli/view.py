@@ -183,19 +183,21 @@ def methods() -> None:
 
     Settings go into [methods.LABEL] of a scenario. heft run --methods accepts these names, and package:Class.
     """
-    from estimators.registry import ESTIMATOR, METHODS
-    from testbed.plugins import find_class, installed, settings_of
+    from estimators.registry import ESTIMATOR, METHODS, class_of
+    from testbed.plugins import installed, settings_of
 
-    listed = Table.grid(padding=(0, 2))
-    for name in [*METHODS, *(name for name in installed(ESTIMATOR) if name not in METHODS)]:
+    listed, others = Table.grid(padding=(0, 2)), installed(ESTIMATOR)
+    for name in [*METHODS, *(name for name in others if name not in METHODS)]:
         try:
-            kind = METHODS.get(name) or find_class(name, ESTIMATOR, "methods")
+            kind = class_of(name)
         except HeftError as error:  # the others are listed all the same
             listed.add_row(name, f"cannot be used: {error}")
             continue
         line = (kind.__doc__ or "").strip().partition("\n")[0]
         listed.add_row(name, "" if line.startswith(f"{kind.__name__}(") else line)  # a dataclass without a word
         listed.add_row("", f"[{', '.join(settings_of(kind)) or 'no settings'}]", style="dim")
+        if name in METHODS and name in others:
+            listed.add_row("", f"{others[name]} has this name too and is not used: name it by its path")
     open_console().print(listed)
 
 

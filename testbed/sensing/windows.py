@@ -350,7 +350,7 @@ def reduced_trials(
 ) -> dict[int, list[Window]]:
     """Windows of every trial of some kinds of action, by its place among all.
 
-    Trials that did not end well, and those with a stretch too short to trim, are left out.
+    Trials that did not end well, those with a stretch too short to trim, and a record given again are left out.
 
     Args:
         shape: shape of the object.
@@ -361,11 +361,12 @@ def reduced_trials(
     Raises:
         InvalidValueError: a grasp that the shape does not have.
     """
-    found = {}
+    found, records = {}, set()
     for index, trajectory in enumerate(trajectories):
-        action = trajectory.action
-        if not trajectory.ok or not kind(action):
+        action, record = trajectory.action, trajectory.wrench_on_object_world.tobytes()
+        if not trajectory.ok or not kind(action) or (action, record) in records:
             continue
+        records.add((action, record))
         if action.grasp is not None and action.grasp >= len(shape.grasps):
             allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
             raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)

@@ -54,6 +54,14 @@ def even(block: KnownBlock) -> Estimate:
     return Estimate(replace(block.model.truth, mass=mass), "ok")
 
 
+def turned_round(block: KnownBlock) -> Estimate:
+    return Estimate(replace(block.model.truth, mass=block.model.truth.mass[::-1]), "ok")
+
+
+def slippery(block: KnownBlock) -> Estimate:
+    return Estimate(replace(block.model.truth, friction=block.model.truth.friction / 2), "ok")
+
+
 def test_the_plugin_knows_what_there_is_without_importing_it():
     assert plugin.BLOCKS == block_names()
     assert {*plugin.SENSORS} == {*PRESETS} == {*ALLOWED}
@@ -126,6 +134,8 @@ VERDICTS = [
     ("L2-own_weight", "high", lambda _: SILENT, None),
     ("L2-own_weight", "ideal", lambda _: SILENT, r"\(too few turns\), where these trials show every mass"),
     ("L2-own_weight", "ideal", lambda block: replace(even(block), **LATE), r"NAD 44\.4 %"),
+    ("L2-own_weight", "ideal", turned_round, "in another order they are right"),
+    ("L2-own_weight", "ideal", slippery, r"a friction is off by 50\.0 %"),
     ("L2-own_weight", "ideal", lambda block: replace(right(block), **LATE), None),
     ("L2-rigid", "ideal", lambda _: replace(SILENT, message=""), "without a message"),
     ("L2-own_weight", "ideal", lambda _: cast(Estimate, None), r"estimate\(\): got None; allowed: an Estimate"),
@@ -175,14 +185,27 @@ def doubted(change: Callable[[Estimate, ObjectShape], np.ndarray]) -> Estimator:
     ("wrong", "breach"),
     [
         (lambda answer, _: answer.covariance, None),
-        (lambda answer, _: 1e-4 * answer.covariance, "off by .* times their claimed errors"),
+        (lambda answer, _: answer.covariance / 9, "off by .* times their claimed errors"),
         (lambda answer, shape: answer.covariance * shape.particles_per_group[0] ** 2, "not of the groups"),
     ],
 )
 def test_errors_are_held_against_those_that_are_claimed(wrong, breach):
     blocks = [load_block(name) for name in CLAIMED]
     with nullcontext() if breach is None else pytest.raises(AssertionError, match=breach):
-        claims_errors_of_their_size(doubted(wrong), blocks)
+        assert claims_errors_of_their_size(doubted(wrong), blocks) == len(blocks)
+
+
+def test_without_an_answer_no_claim_is_checked():
+    assert claims_errors_of_their_size(estimator(lambda *_: SILENT), [load_block(CLAIMED[0])]) == 0
+
+
+def test_a_covariance_in_another_order_than_the_masses_is_caught():
+    def reversed_(answer: Estimate, _: ObjectShape) -> Estimate:
+        assert answer.covariance is not None
+        return replace(answer, covariance=answer.covariance[::-1, ::-1])
+
+    with pytest.raises(AssertionError, match="covariance"):
+        rules.does_not_care_for_the_order_of_groups(changed(reversed_))
 
 
 @pytest.mark.parametrize("flawed", ["wrench_on_object_world", "tcp_velocity"])
@@ -292,6 +315,11 @@ def emptying(shape: ObjectShape, weight: float, trajectories: list[Trajectory], 
     return REAL.estimate(shape, weight, given, seed)
 
 
+def weightless(shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int) -> Estimate:
+    """An estimate that takes a weight for granted."""
+    return REAL.estimate(shape, 1.0 * cast(float, weight), trajectories, seed)
+
+
 def careless(shape: ObjectShape, weights: Any, draws: Any, seeds: Any) -> list[Estimate]:
     """A batch that gives every draw the answer of the first."""
     return [REAL.estimate(shape, weights[0], draws[0], seeds[0])] * len(draws)
@@ -329,6 +357,7 @@ BREACHES: dict[Callable[..., None], Estimator] = {
     ),
     rules.takes_extra_trajectories: estimator(fragile),
     rules.says_so_when_there_is_too_little: changed(guessing),
+    rules.says_so_without_a_weight: estimator(weightless),
     rules.traces_its_way: changed(lambda answer, _: replace(answer, traces=RAGGED)),
     rules.answers_many_draws_as_one_by_one: estimator(REAL.estimate, estimate_many=careless),
     rules.refuses_trials_of_another_shape: changed(lambda answer, _: answer, forgiving=True),
@@ -341,7 +370,7 @@ BREACHES: dict[Callable[..., None], Estimator] = {
 @pytest.mark.parametrize("rule", BREACHES, ids=lambda rule: rule.__name__)
 def test_a_breach_is_caught(rule):
     assert isinstance(BREACHES[rule], Estimator)
-    with pytest.raises((AssertionError, RuntimeError, pytest.fail.Exception)):
+    with pytest.raises((AssertionError, RuntimeError, TypeError, pytest.fail.Exception)):
         rule(BREACHES[rule])
 
 

@@ -218,6 +218,12 @@ TURNED = [
 ]
 
 
+def test_a_record_that_is_given_again_counts_once():
+    trials = turns(OBJECT)
+    again = [*trials, replace(trials[0], reason="again"), *trials]
+    assert torch.equal(windows_of(OBJECT, again).wrench, windows_of(OBJECT, trials).wrench)
+
+
 def test_windows_belong_to_their_caller():
     trials = turns(OBJECT, [0])
     first = windows_of(OBJECT, trials)

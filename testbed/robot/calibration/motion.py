@@ -136,16 +136,16 @@ def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray, 
         error, held = spread / reach, [setup.grasp_offset / reach, (count < 3) * setup.tcp_offset / reach]
         ok = abs(angle) <= CLOSING_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle, *held])
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
-        text += "" if ok else f": correct closing_deg by {np.degrees(angle):+.0f}, or the grasps' angles"
+        off = float(np.degrees(angle))  # about the vertical; the hand's z axis points down
+        text += "" if ok else f": correct closing_deg by {-off:+.0f} (z axis that points up: {off:+.0f})"
         findings.append(Finding("closing direction", bool(ok), angle, text))
     if count > 2 or not findings:
         error, far = spread / count**0.5, float(np.linalg.norm(offset))
         ok = far <= TCP_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_offset, setup.grasp_offset])
         x, y = 1e3 * offset
-        text = (
-            f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and across"
-        )
-        findings.append(Finding("TCP", bool(ok), far, text + ("" if ok else ": correct the TCP by that")))
+        text = f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and left"
+        why = f": correct the TCP by ({x:+.1f}, {-y:+.1f}) mm, x as the pads close (z axis that points up: y {y:+.1f})"
+        findings.append(Finding("TCP", bool(ok), far, text + ("" if ok else why)))
     return findings
 
 

@@ -160,5 +160,6 @@ def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     aside = float(np.linalg.norm([error, setup.mounting_angle, 2 * setup.anisotropy, setup.friction_law, lean]))
     ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * aside
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
-    why = "" if ok else f": turn the sensor's rotation by {-np.degrees(angle):+.0f} deg about the vertical"
+    turn = f"{-np.degrees(angle):+.0f} deg about the vertical, {np.degrees(angle):+.0f} about a z axis that points down"
+    why = "" if ok else f": turn the sensor's rotation by {turn}, or two of its axes are exchanged"
     return Finding("direction", ok, angle, text + why)

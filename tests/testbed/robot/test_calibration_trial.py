@@ -153,7 +153,7 @@ def test_the_closing_direction_is_corrected_by_what_it_is_off(degrees):
     trials = [told_yaw(trial, np.radians(degrees)) for trial in turns()]
     found = wrong_in(trials)
     assert set(found) == {"closing direction"}
-    assert f"correct closing_deg by {-degrees:+d}" in found["closing direction"]
+    assert f"correct closing_deg by {degrees:+d} (z axis that points up: {-degrees:+d})" in found["closing direction"]
     assert not wrong_in(turns()[:1]) and set(wrong_in(trials[:1])) == {"closing direction"}
 
 

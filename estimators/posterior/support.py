@@ -39,7 +39,7 @@ MAX_MISFIT = 10.0
 STIFF = 0.9
 """Share of springs from which a search starts near one rigid body: beyond it loads hardly change."""
 NEARLY = 0.03
-"""Difference of the share from 1 up to which a body counts as rigid: simulated ones have 0.97 to 1.02. Ours."""
+"""Difference of the share from an end up to which it counts as that: simulated bodies have 0.97 to 1.02. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,9 @@ class SupportTest:
         }
         if self.shared is not None:
             sentences["between"] = "the weight is spread as by springs between the groups"
-        part = f"rigid to {100 * self.rigid_share:.0f} +- {100 * self.rigid_share_error:.2g} %"
-        return f"{sentences[self.kind]} (Bayes factor 10^{self.log10_bayes_factor:.1f} for own weight; {part})"
+        share, error = 100 * self.rigid_share, 100 * self.rigid_share_error
+        part = f"; rigid to {share:.0f} +- {error:.2g} %" if _possible(self.rigid_share) else ""
+        return f"{sentences[self.kind]} (Bayes factor 10^{self.log10_bayes_factor:.1f} for own weight{part})"
 
 
 def support_test(
@@ -157,8 +158,13 @@ def _springs(
         shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
         alone = max(ends, key=lambda fit: fit.log_evidence_to_scale)
     gained = shared.log_evidence_to_scale - alone.log_evidence_to_scale
-    possible = float(shared.of("rigid_share")[0]) > -NEARLY
+    possible = _possible(float(shared.of("rigid_share")[0]))
     return shared if possible and shared.explained.explains and gained > DECISIVE * math.log(10) else None
+
+
+def _possible(share: float) -> bool:
+    """True of a share that springs can have."""
+    return -NEARLY < share < 1 + NEARLY
 
 
 def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float) -> float:

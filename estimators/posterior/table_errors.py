@@ -59,7 +59,9 @@ class TableErrors:
             drag: friction of every particle, N.
             errors: errors of the model.
         """
-        unresolved = (table.unresolved @ drag.expand(len(table.unresolved), -1)[..., None]).detach()
+        # a camera's motion has its noise in place of a hand's wandering
+        by_hand = ~(windows.pushed | windows.articulated)[:, None, None]
+        unresolved = by_hand * (table.unresolved @ drag[..., None])
         table = table.dragged(drag)
         slopes, hinges = _slopes(windows, table, mass) | {"unresolved": unresolved}, windows.hinges
         planar, late = _of_motion(windows, table, slopes, drag, errors)
@@ -196,8 +198,8 @@ def _of_motion(
     own = pad(own + (of_push * windows.pushed[:, None] * total).square(), (0, windows.hinges))
     held = ~windows.pushed[:, None, None]
     moved = errors.pivot_error * windows.twist[:, 2].abs()[:, None, None] * slopes["twist"][..., :2]
-    alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes.get("idle", moved[..., :0])]
-    alone.append(slopes["unresolved"])
+    alone = [moved, slopes["twist"] * windows.twist_noise.sqrt() * held, slopes["unresolved"]]
+    alone.append(slopes.get("idle", moved[..., :0]))
     if "friction_law" in slopes:  # friction varies within a trial as it does between them
         alone.append(windows.setup.friction_law * slopes["friction_law"])
     late = [moved[..., :0]]  # an error of the clock is the same throughout a trial

@@ -177,11 +177,12 @@ class SupportAware:
         )
         ranges = [f"{name} {a:.3f} to {b:.3f} kg" for name, a, b in zip(shape.group_names, low, high, strict=True)]
         listed = ", ".join(ranges[:MOST_LISTED]) + (", ..." if len(ranges) > MOST_LISTED else "")
+        holds = rigid.explained.explains and polytope.inside[1] <= MISSED
         ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
             MassDistribution(mean, rigid.unknowns.values(rigid.optimum.z)["friction"].numpy()),
             "underdetermined",
-            f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}",
+            f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}" if holds else "",
             covariance=covariance,
             hidden=hidden,
             diagnostics=numbers | rigid.explained.diagnostics | ends | {"polytope_miss": polytope.inside[1]},

@@ -33,6 +33,8 @@ from testbed.sensing.seen import as_seen, frame_mismatch
 from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
 
+FARTHEST = 50.0
+"""Largest coordinate of a hand [m]: no hall with a bench is larger."""
 _SINCE_1970 = 1e9, 4e9
 """Times between these count from 1970: the years 2001 to 2096 [s]."""
 
@@ -61,6 +63,10 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     base = common_base(streams.needed, table.longest_gap_s)
     time, count, begin = np.arange(len(base)) / RATE, len(base), streams.epoch_s + float(base[0])
     position, hand = streams.tcp(table, base)
+    if (far := float(np.abs(position).max())) > FARTHEST:
+        raise LogError(
+            f"hand.position: {far:.3g} m from the origin; allowed: {FARTHEST:g} m; is position_unit another?"
+        )
     twist = resampled(velocity, base) if velocity else differentiated(position, hand)
     position[:, 2] -= table.hand.table_height_m
     if table.phases:

@@ -43,6 +43,8 @@ SHORTEST_TARE = 0.3
 """Shortest tare [s]."""
 _LONGEST_EQUAL = 0.5
 """Time for which a component of a moved sensor may stay exactly the same [s]."""
+_NO_CHANCE = 1e-9
+"""Probability that noise leaves a component the same for so long, below which it is stuck. Ours."""
 COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 SPIKE = 20.0
 """Distance of a spike from the samples beside it, over the standard deviation of such distances, and over the change
@@ -57,6 +59,8 @@ MOST_NAMED = 3
 """Spikes of a component that are named by their times."""
 _SHORTEST_LOG = 0.5
 """Least time that all columns of a log share [s]: a push at 0.2 m/s lasts that long."""
+_PAUSE = 1.0
+"""Gap that is more likely between two trials than within one [s]."""
 _SMOOTHING = 0.25
 """Time over which motion is averaged [s]."""
 
@@ -70,12 +74,16 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
     begins, ends = [], []
     for one in series:
         gaps = np.diff(one.time_s)
-        at = int(np.argmax(gaps))
-        if gaps[at] > longest_gap:
-            silent = f"{gaps[at]:.3g}" if gaps[at] > 1.01 * longest_gap else f"{gaps[at]:.6g}"
+        at, usual = int(np.argmax(gaps)), float(np.median(gaps))
+        if gaps[at] > 1.01 * longest_gap:
+            given = f"silent for {gaps[at]:.3g} s at {one.time_s[at] - one.time_s[0]:.2f} s"
+            hint = "; several trials in one log: give from_s and to_s of each" if gaps[at] > _PAUSE else ""
+            if usual > longest_gap:
+                given = f"a sample every {usual:.3g} s"
+                hint = "; is time.unit another (ms, us, ns)?" if usual > _PAUSE else ""
             raise LogError(
-                f"log: silent for {silent} s at {one.time_s[at] - one.time_s[0]:.2f} s; allowed: "
-                f"{longest_gap:g} s (longest_gap_s): interpolated values, or repeated ones, are no measurements"
+                f"log: {given}; allowed: {longest_gap:g} s (longest_gap_s): interpolated values, or repeated ones, are "
+                f"no measurements{hint}"
             )
         begins.append(one.time_s[0])
         ends.append(one.time_s[-1])
@@ -130,7 +138,7 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"], measured: 
         measured: False for components that the mapping gives as constants.
 
     Raises:
-        LogError: a component has one value throughout; or one for long in motion, though its noise is several counts.
+        LogError: a component has one value throughout; or one for longer in motion than its noise allows.
     """
     inside = (wrench.time_s >= moved[0]) & (wrench.time_s <= moved[1])
     time = wrench.time_s[inside]
@@ -142,12 +150,16 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"], measured: 
             raise LogError(f"sensor: {name} is {column[0]:g} in all samples; allowed: a component that is measured")
         steps = np.abs(np.diff(column))
         several_counts = np.median(steps[steps > 0]) > 3 * np.diff(levels).min()
-        for run in runs(np.diff(column[inside]) == 0) if several_counts else []:
+        longest = max((len(run) for run in runs(steps == 0)), default=0)
+        usually = ((steps == 0).sum() - longest + 1) / (len(steps) - longest + 1)  # beside the longest rest
+        for run in runs(np.diff(column[inside]) == 0):
             seconds = time[run[-1] + 1] - time[run[0]]
-            if seconds > _LONGEST_EQUAL:
+            no_chance = several_counts or len(run) * np.log(usually) < np.log(_NO_CHANCE)
+            if seconds > _LONGEST_EQUAL and no_chance:
                 raise LogError(
                     f"sensor: {name} stays at {column[inside][run[0]]:g} for {seconds:.2g} s from "
-                    f"{time[run[0]] - wrench.time_s[0]:.2f} s, in motion; allowed: {_LONGEST_EQUAL:g} s: it was stuck"
+                    f"{time[run[0]] - wrench.time_s[0]:.2f} s, in motion; allowed: {_LONGEST_EQUAL:g} s: it was stuck, "
+                    "or clipped"
                 )
 
 
@@ -171,7 +183,7 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
     """Phases by the mapping's windows; a gap belongs to the way to the next one. A zeroed sensor needs no tare.
 
     Raises:
-        LogError: no tare before the first steady window, no steady window, or one beyond the log's end.
+        LogError: no tare before the first steady window, no steady window, or one of both beyond the log's end.
     """
     phase, segment = np.full(len(time), Phase.RELEASE), np.full(len(time), -1)
     steady = [w for w in windows if w.kind == Phase.STEADY]
@@ -181,7 +193,8 @@ def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, 
     phase[time < steady[0].from_s] = Phase.APPROACH
     for window in windows:
         inside = (time >= window.from_s) & (time < window.to_s)
-        if not inside.any() or window.to_s > time[-1] + 1.5 / RATE:
+        ends_early = window.to_s > time[-1] + 1.5 / RATE and window.kind in (Phase.TARE, Phase.STEADY)
+        if not inside.any() or ends_early:
             given, ends = f"{window.from_s:g} to {window.to_s:g} s", f"{time[0]:.2f} to {time[-1]:.2f} s"
             raise LogError(f"phases: {window.phase} at {given}; allowed: within the log's {ends}")
         phase[inside] = window.kind
@@ -259,16 +272,24 @@ def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     unit, scale = ("deg/s", 180 / np.pi) if action.turns else ("mm/s", 1e3)
     asked = ", ".join(_speed(w, seconds, unit, scale) for w in wanted)
     seen = [(float(np.median(rate[s])), len(s) / RATE) for s in stretches] or _constant_speeds(rate)
-    found = ", ".join(_speed(*one, unit, scale) for one in seen) or "none: its speed is never constant"
+    fastest, none = float(np.abs(rate).max()), "none: its speed is never constant"
+    if fastest < STILL[action.turns]:
+        none = f"none: it does not {'turn' if action.turns else 'move'}"
+    found = (
+        ", ".join(_speed(*one, unit, scale) for one in seen) or f"{none}, at most {_per_second(fastest, unit, scale)}"
+    )
     raise LogError(
         f"phases: the action has steady stretches of {asked}; the log has {found}; correct the action's speed and "
         "duration, or give [[phases]]"
     )
 
 
+def _per_second(speed: float, unit: str, scale: float) -> str:
+    return f"{speed:+.4g} {'rad/s' if unit == 'deg/s' else 'm/s'} ({scale * speed:+.3g} {unit})"
+
+
 def _speed(speed: float, seconds: float, unit: str, scale: float) -> str:
-    si = "rad/s" if unit == "deg/s" else "m/s"
-    return f"{speed:+.4g} {si} ({scale * speed:+.3g} {unit}) for {seconds:.1f} s"
+    return f"{_per_second(speed, unit, scale)} for {seconds:.1f} s"
 
 
 def _constant_speeds(rate: np.ndarray) -> list[tuple[float, float]]:

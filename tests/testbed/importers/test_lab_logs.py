@@ -211,7 +211,7 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"phases": [{"phase": "steady", "from_s": 1.0, "to_s": 2.0}]}, 'one or more "tare"'),
     ({"phases": [{"phase": "tare", "from_s": 1.0, "to_s": 0.5}]}, "to_s: got 0.5"),
     ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
-    ({"longest_gap_s": 0.005}, "log: silent for 0.01 s at"),
+    ({"longest_gap_s": 0.005}, "log: a sample every 0.01 s; allowed: 0.005 s"),
 )
 
 
@@ -259,10 +259,16 @@ def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
 def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Trajectory, tmp_path: Path):
     path, mapping = write_csv(tmp_path / "log.csv", turn), mapping_of(turn)
     table = pd.read_csv(path)
-    held = np.flatnonzero(turn.segment == 0)
+    held, coarse = np.flatnonzero(turn.segment == 0), table["tz"].round(3)  # of the size of its noise
+    hand = [name for name in columns(turn) if name[0] in "pq"]
     for changes, error in (
         ({"fy": table["fy"].iloc[0]}, "sensor: fy is "),
         ({"tz": table["tz"].mask(table.index > held[50]).ffill()}, "s, in motion; allowed: 0.5 s: it was stuck"),
+        ({"tz": coarse.mask(table.index > held[50]).ffill()}, "s, in motion; allowed: 0.5 s: it was stuck, or clipped"),
+        ({"stamp": 1e3 * table["stamp"]}, "a sample every 10 s; allowed: 0.1 s (longest_gap_s)"),
+        ({"stamp": 1e3 * table["stamp"]}, "is time.unit another"),
+        ({name: 1e3 * table[name] for name in hand[:3]}, "is position_unit another?"),
+        ({name: table[name].iloc[0] for name in hand}, "the log has none: it does not turn, at most"),
         ({"stamp": table["stamp"].iloc[0]}, "samples have the time 1.76723e+09 s; allowed: a clock that runs"),
         (
             {"stamp": table["stamp"] // 20 * 20},

@@ -18,11 +18,16 @@ from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, JoinedSupport, SupportModel
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.worlds.setup_errors import SetupErrors
 
 SAME_WEIGHT = 0.01
 """Part of M within which masses count as weighed: then the search is no cause of another inertia."""
-FAR = 1.5
+FAR = 1.1
 """Ratio of the masses to the weight from which that is said."""
+SURE = 3.0
+"""Standard errors by which the masses may miss the weight, and an answer is `ok`."""
+DRY = 0.05, 2.0
+"""Frictions that dry surfaces have; beyond them a unit or the weight is likelier another. Ours."""
 MANY = 1_000_000
 """Degrees of freedom of a misfit whose method does not state them: such a misfit is no chance."""
 
@@ -43,7 +48,7 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
     at = answer.distribution
     if at is None:
         return answer
-    if why := _not_the_weight(at.mass, shape, weight):
+    for why in filter(None, [_not_the_weight(at.mass, shape, weight), _not_dry(at.friction)]):
         answer = _said(answer, why)
     numbers, found = answer.diagnostics, None
     if math.isnan(stated := numbers.get("misfit", math.nan)):
@@ -57,6 +62,8 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         return answer
     if found is not None and not found.explains:
         return _said(replace(answer, status=found.status), found.reason)
+    if weight and (why := _beside_the_weight(answer, shape, weight, trajectories)):
+        return _said(replace(answer, status="unexplained"), why)
     open_ = _left_open(answer, shape, weight or float(shape.particles_per_group @ at.mass))
     return _said(replace(answer, status="underdetermined"), open_) if open_ else answer
 
@@ -73,6 +80,24 @@ def _left_open(answer: Estimate, shape: ObjectShape, whole: float) -> str:
     names = [name for name, one in zip(shape.group_names, error, strict=True) if one > whole]
     errors = f"errors up to {error.max():.3g} kg"
     return f"its covariance leaves open the mass of {', '.join(names)}: {errors}" if names else ""
+
+
+def _beside_the_weight(answer: Estimate, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> str:
+    """Disagreement of an answer's own errors with the weight, in words; empty if they agree or there are none."""
+    if answer.covariance is None or answer.distribution is None or not np.isfinite(answer.covariance).all():
+        return ""
+    count, stated = shape.particles_per_group, SetupErrors.largest([trial.setup for trial in trajectories])
+    off = float(count @ answer.distribution.mass) - weight
+    own = float(np.sqrt(max(count @ answer.covariance @ count, 0.0)))
+    sure = abs(off) > SURE * math.hypot(own, SAME_WEIGHT * weight, ModelErrors.weight_error, stated.scale)
+    return f"its masses are {off:+.3g} kg beside the weight, and claim {own:.2g} kg" if sure else ""
+
+
+def _not_dry(friction: Float[np.ndarray, "n_mu"]) -> str:
+    """Frictions that dry surfaces hardly have, in words."""
+    few, many = DRY
+    odd = [f"{mu:.2g}" for mu in friction if not few <= mu <= many]
+    return f"friction {', '.join(odd)}: is the weight, or the unit of the force, another?" if odd else ""
 
 
 def _not_the_weight(mass: Float[np.ndarray, "n_m"], shape: ObjectShape, weight: float | None) -> str:

@@ -71,4 +71,4 @@ class Misfit:
             found = f"accelerated turns show {100 * self.inertia:.0f} % of the inertia that these masses have"
             checks = "weigh the object again, check the torque's unit and the object's size, or ask support_aware"
             return f"{begin}; {found}: {checks}"
-        return f"{begin}; {NEXT}; errors are widened"
+        return f"{begin}; {NEXT}"

@@ -26,7 +26,7 @@ ONE_PIECE = (
 )
 """Why a method gives no answer on an articulated object."""
 ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
-NO_DATA = "no trajectory with status ok that slides or turns at constant speed"
+NO_DATA = "no trajectory with status ok that slides or turns at constant speed, for 1.2 s or more"
 NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
 
 

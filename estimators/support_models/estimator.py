@@ -92,7 +92,7 @@ class SupportAware:
         own = posterior_of(shape, weight, trajectories)
         if own is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
-        if rigid is None:  # links rest on their own weight, or nothing is known of their loads
+        if rigid is None or shape.n_m == 1:  # links rest on their own weight; one group does, however it touches
             return replace(own.leaning().estimate(shape), assumes=ASSUMPTION["own_weight"])
         assert weight is not None
         return self._either(shape, weight, trajectories, own, rigid, seed)

@@ -56,6 +56,8 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
     if doubt := _doubt(folder, found, shape, weighing, trials):
         return f"next: {doubt}"
+    if found.status == "ok" and found.message:
+        return f"next: {found.message}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
     guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
     known: Any = SimpleNamespace(estimate=lambda *_: found)  # the answer that is there

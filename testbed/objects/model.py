@@ -262,7 +262,15 @@ class MassDistribution(ReadOnlyArrays):
             object.__setattr__(self, name, values)
 
     def group_mass(self, shape: ObjectShape) -> Float[np.ndarray, "n_m"]:
-        """Mass of each group [kg]."""
+        """Mass of each group [kg].
+
+        Raises:
+            InvalidValueError: a shape with another number of groups.
+        """
+        if len(self.mass) != shape.n_m:
+            raise InvalidValueError(
+                "shape", f"one of {shape.n_m} mass groups", f"one of {len(self.mass)}, as the masses"
+            )
         return self.mass * shape.particles_per_group
 
 

@@ -27,20 +27,23 @@ CENTER_ALLOWED = 0.003
 """Allowed distance of a turn's center from where its action has it [m]."""
 CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
 """Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
+HEADING_ALLOWED = np.radians(5.0)
+"""Allowed angle between a slide and its direction [rad]."""
 SURE = 3.0
 
 
 def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[Finding]:
-    """Findings on closing direction, TCP, and the grasp and pivot of every turn at constant speed.
+    """Findings on closing direction, TCP, the grasp and pivot of every steady turn, and the direction of every slide.
 
     Args:
         shape: geometry and grasps of the object.
-        trajectories: trials of it that ended well; all but turns are left out.
+        trajectories: trials of it that ended well; all but turns and slides are left out.
     """
     steady = [t for t in trajectories if t.ok and t.action.turns and not t.action.accelerated]
     turned = [(t.action, windows) for t in steady if (windows := steady_windows(t))]
+    slid = [_heading(shape, t) for t in trajectories if t.ok and t.action.dragged_steadily and not t.action.turns]
     if not turned:
-        return []
+        return slid
     named = np.array([_named(shape, action, action.hand(shape)) for action, _ in turned])
     seen = np.array([
         rotation_2d(-action.hand(shape)[1])
@@ -70,7 +73,16 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         worst = float(left.max())
         text = f"turns about the points that the actions name, {len(turned)} of them, to {1e3 * worst:.1f} mm"
         findings.append(Finding("center", True, worst, text))
-    return findings
+    return [*findings, *(slid if all(f.ok for f in findings) else [])]  # a yaw that is off turns slides too
+
+
+def _heading(shape: ObjectShape, trial: Trajectory) -> Finding:
+    """Finding on the direction of a slide, in the object's frame."""
+    along, seen = trial.action.heading, steady_windows(trial)[0].twist[:2]
+    off = float(np.arctan2(cross_2d(along, seen), along @ seen))
+    ok = abs(off) <= HEADING_ALLOWED
+    text = f"{trial.action.describe(shape)}: it moves {np.degrees(off):+.0f} deg off that direction"
+    return Finding("heading", ok, off, text + ("" if ok else ": correct its direction, rad in the object's frame"))
 
 
 def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:

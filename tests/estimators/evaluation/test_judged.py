@@ -157,6 +157,21 @@ def test_an_answer_of_any_method_is_judged(answer, block, status):
     )
 
 
+def test_masses_beside_the_weight_by_more_than_their_own_errors_are_not_ok():
+    light = MassDistribution(0.7 * TRUTH.mass, TRUTH.friction)
+    known = {"misfit": 1.0}
+    for part, status in ((0.01, "unexplained"), (1.0, "ok")):
+        covariance = np.diag((part * TRUTH.mass) ** 2)
+        found = status_of(says(light, covariance=covariance, diagnostics=known))
+        assert found.status == status and "add up to 0.7 times the weight" in found.message
+    assert status_of(says(light, diagnostics=known)).status == "ok"  # a method that is not given M
+
+
+def test_a_friction_that_no_dry_surface_has_is_questioned():
+    odd = MassDistribution(TRUTH.mass, np.array([4.5]))
+    assert "friction 4.5: is the weight, or the unit of the force" in status_of(says(odd)).message
+
+
 def test_without_a_prediction_the_answer_stays():
     assert status_of(says(UNIFORM), trials=[]).status == "ok"
     nothing = says(None, "no_data", message="no trial")

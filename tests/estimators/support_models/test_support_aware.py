@@ -314,6 +314,17 @@ def felt(obj: ObjectModel) -> list[Trajectory]:
     return trials_of(obj, rigid=True)
 
 
+def test_one_group_has_the_whole_mass_under_either_support():
+    one = drawn_object(0)
+    one = replace(
+        one,
+        shape=replace(one.shape, mass_group=0 * one.shape.mass_group, group_names=("all",)),
+        truth=MassDistribution(np.array([one.total_mass / len(one.shape.particles)]), one.truth.friction),
+    )
+    answer = ask(one, turns(one), SupportAware())
+    assert answer.status == "ok" and nad(one, answer) < 1e-3
+
+
 def test_three_points_show_all_that_can_be_known():
     obj = tool(THREE)
     near = posterior_of(obj.shape, obj.total_mass, felt(obj), "rigid")

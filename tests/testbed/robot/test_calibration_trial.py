@@ -143,9 +143,16 @@ def wrong_in(trials: list[Trajectory], shape=OBJECT.shape) -> dict[str, str]:
 
 def test_what_is_told_right_is_right():
     findings = check_motion(OBJECT.shape, [*turns(), analytic_trial(OBJECT, Slide(0, 0.3))])
-    assert [finding.what for finding in findings] == ["closing direction", "TCP", "center"]
+    assert [finding.what for finding in findings] == ["closing direction", "TCP", "center", "heading"]
     assert all(finding.ok for finding in findings)
-    assert check_motion(OBJECT.shape, [analytic_trial(OBJECT, Slide(0, 0.3))]) == []
+
+
+def test_a_slide_in_another_direction_is_named():
+    slide = analytic_trial(OBJECT, Slide(0, 0.3))
+    assert not wrong_in([slide])
+    other = replace(slide, action=Slide(0, -0.6))
+    assert "it moves +52 deg off that direction: correct its direction" in wrong_in([other])["heading"]
+    assert set(wrong_in([*(told_yaw(trial, 0.7) for trial in turns()), other])) == {"closing direction"}
 
 
 @pytest.mark.parametrize("degrees", [90, -35, 2, -2])

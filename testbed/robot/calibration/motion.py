@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from testbed.actions.base import Action
 from testbed.frames import cross_2d, perpendicular, rotation_2d
@@ -50,10 +50,12 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
         for action, windows in turned
     ])  # fmt: skip
-    mirrored = named * [1, -1]
-    fits = {kind: _fit(seen, about) for kind, about in (("stated", named), ("mirrored", mirrored))}
-    kind = min(fits, key=lambda k: np.median(fits[k][2]) + (0.001 if k == "mirrored" else 0.0))
     setup, findings = _stated(steady), []
+    held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
+    allowed = CENTER_ALLOWED + SURE * held
+    kinds = {"stated": named, "mirrored": named * [1, -1]}
+    fits = {kind: _fit(seen, about, _agreeing(seen, about, allowed)) for kind, about in kinds.items()}
+    kind = min(fits, key=lambda k: np.median(fits[k][2]) + (0.001 if k == "mirrored" else 0.0))
     if kind == "mirrored" and len(turned) > 1:
         off = float(np.median(fits["stated"][2]))
         text = (
@@ -63,9 +65,10 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     else:
         kind = "stated"
     angle, offset, left, spread = fits[kind]
-    findings += _common(angle, offset, spread, named, setup)
-    held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
-    allowed = CENTER_ALLOWED + SURE * held
+    if (left > allowed).sum() > len(left) / 2:  # they have nothing in common
+        angle, offset, left = 0.0, np.zeros(2), np.linalg.norm(seen - kinds[kind], axis=1)
+    else:
+        findings += _common(angle, offset, spread, named, setup)
     for (action, _), at, miss, most in zip(turned, seen, left, allowed, strict=True):
         if miss > most:
             findings.append(_wrong(shape, action, rotation_2d(-angle) @ (at - offset), miss))
@@ -114,27 +117,36 @@ def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -
     return rotation_2d(-angle) @ (action.center(shape) - place)
 
 
+def _agreeing(
+    seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"], allowed: Float[np.ndarray, "K"]
+) -> Bool[np.ndarray, "K"]:
+    """Centers that are where they are named, if those are most: then the others are off by themselves; else all."""
+    agree, far = np.linalg.norm(seen - named, axis=1) <= allowed, np.linalg.norm(named, axis=1) > LEVER
+    telling = far if far.any() else np.ones_like(far)  # a turn about the grasp shows no closing direction
+    return agree if (agree & telling).sum() > telling.sum() / 2 else np.ones_like(far)
+
+
 def _fit(
-    seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"]
+    seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"], counted: Bool[np.ndarray, "K"]
 ) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "K"], float]:
     """Turn [rad] and shift [m] that take named centers to seen ones, distances left, and their spread, one axis [m].
 
-    Reweighted, so that a few wrong ones do not count.
+    Of those that are counted; reweighted, so that a few wrong ones do not count.
     """
-    weight = np.ones(len(seen))
-    far = np.linalg.norm(named, axis=1) > LEVER
+    weight = counted.astype(float)
+    far = counted & (np.linalg.norm(named, axis=1) > LEVER)
     angle, offset, left = 0.0, np.zeros(2), np.zeros(len(seen))
     for _ in range(30):
         w = weight / weight.sum()
-        shifted = len(seen) > 2 or not far.any()  # two centers show no more than a turn
+        shifted = counted.sum() > 2 or not far.any()  # two centers show no more than a turn
         a, b = (points - shifted * (w @ points) for points in (named, seen))
         if far.any():
             angle = float(np.arctan2((weight * cross_2d(a, b)).sum(), (weight * (a * b).sum(axis=1)).sum()))
         turned = named @ rotation_2d(angle).T
         offset = w @ (seen - turned) if shifted else np.zeros(2)
         left = np.linalg.norm(seen - turned - offset, axis=1)
-        weight = 1 / np.maximum(left, 2e-4)
-    good = left <= max(CENTER_ALLOWED, 2 * float(np.median(left)))
+        weight = counted / np.maximum(left, 2e-4)
+    good = counted & (left <= max(CENTER_ALLOWED, 2 * float(np.median(left[counted]))))
     freedom = max(2 * int(good.sum()) - 3, 1)
     return angle, offset, left, float(np.sqrt((left[good] ** 2).sum() / freedom))
 

@@ -194,6 +194,17 @@ def test_stated_errors_of_the_setup_are_allowed_and_the_defaults_are_not():
         assert len(wrong_motion(OBJECT.shape, [replace(t, setup=setup) for t in trials])) == kinds
 
 
+def test_exchanged_logs_are_off_by_themselves_alone():
+    trials = turns()[:4]
+    for a, b in ((0, 1), (2, 3)):
+        trials[a], trials[b] = (
+            replace(trials[b], action=trials[a].action),
+            replace(trials[a], action=trials[b].action),
+        )
+    assert set(wrong_in(trials)) == {"center"}
+    assert set(wrong_in([*trials[:2], *turns()[2:]])) == {"center"}  # no TCP that is off
+
+
 def test_one_wrong_grasp_is_named_with_the_one_that_would_fit():
     trials, shape = turns(), OBJECT.shape
     action = turn_of(trials[2])

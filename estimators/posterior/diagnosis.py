@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,16 +101,29 @@ class Diagnosis:
         return "no single trial and no error of a usual size explains it; check the shape, the groups and the units"
 
 
-def diagnose(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Diagnosis | None:
+def diagnose(
+    shape: ObjectShape,
+    weight: float,
+    trajectories: Sequence[Trajectory],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Diagnosis | None:
     """Diagnosis of an object's trials; None where no trial is usable.
 
     Args:
         shape: geometry and groups.
         weight: M as weighed, kg.
         trajectories: trials of one object.
+        progress: receives how many fits of those that may be needed are done.
     """
+    most = len(trajectories) + len(PARAMETERS) + 1
+    steps = iter(range(1, most + 1))
+
+    def fitted() -> None:
+        progress(next(steps), most)
+
     support: SupportModel = "own_weight" if shape.stands_in_groups else "rigid"
     found = posterior_of(shape, weight, trajectories, support)
+    fitted()
     if found is None:
         return None
     answer = found.leaning() if support == "own_weight" else found
@@ -127,10 +140,10 @@ def diagnose(shape: ObjectShape, weight: float, trajectories: Sequence[Trajector
         test = support_test(shape, weight, trajectories, found, rigid)
         if test.shared or (test.kind == "rigid" and rigid.explained.explains):
             return replace(diagnosis, support=test)
-    diagnosis = _without_one(diagnosis, shape, weight, trajectories, support)
+    diagnosis = _without_one(diagnosis, shape, weight, trajectories, support, fitted)
     if diagnosis.odd_trial is not None:
         return diagnosis
-    return replace(diagnosis, causes=_one_by_one(found, shape, weight, trajectories, support))
+    return replace(diagnosis, causes=_one_by_one(found, shape, weight, trajectories, support, fitted))
 
 
 def _without_one(
@@ -139,6 +152,7 @@ def _without_one(
     weight: float,
     trajectories: Sequence[Trajectory],
     support: SupportModel,
+    fitted: Callable[[], None],
 ) -> Diagnosis:
     """Diagnosis with the one trial without which all others agree, if there is one."""
     if diagnosis.misfit.explains:
@@ -146,13 +160,19 @@ def _without_one(
     for trial in diagnosis.trials:
         others = [each for place, each in enumerate(trajectories) if place != trial]
         left = posterior_of(shape, weight, others, support)
+        fitted()
         if left is not None and left.explained.by_chance and left.explained.value < diagnosis.without:
             diagnosis = replace(diagnosis, odd_trial=trial, without=left.explained.value)
     return diagnosis
 
 
 def _one_by_one(
-    found: Posterior, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory], support: SupportModel
+    found: Posterior,
+    shape: ObjectShape,
+    weight: float,
+    trajectories: Sequence[Trajectory],
+    support: SupportModel,
+    fitted: Callable[[], None],
 ) -> tuple[Cause, ...]:
     """Errors of the setup, each alone larger than stated, by the odds over all being as stated."""
     stated, causes = SetupErrors.largest([trial.setup for trial in trajectories]), []
@@ -165,6 +185,7 @@ def _one_by_one(
         wider = replace(stated, **{name: tried})
         trials = [replace(trial, setup=wider) for trial in trajectories]
         larger = posterior_of(shape, weight, trials, support)
+        fitted()
         if larger is None or name not in larger.unknowns.blocks:
             continue
         causes.append(_cause(_Seen.of(larger, name, wider), larger.log_evidence - found.log_evidence))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from testbed.errors import InvalidValueError
 if TYPE_CHECKING:
     from estimators.evaluation.statistics import Row
     from estimators.posterior.diagnosis import Diagnosis
+    from scenarios.study.experiment import Progress
 
 MOST_LISTED = 8
 """Causes in the table."""
@@ -41,6 +43,7 @@ def doctor(
         objects: objects to diagnose; default: all.
         draw: index of the sensor-error draw of simulated trials.
     """
+    from scenarios.cli.run import show_progress
     from scenarios.cli.terminal import open_console
     from scenarios.results.estimates import load_rows
     from scenarios.results.files import check_results, inside
@@ -64,7 +67,8 @@ def doctor(
         if keys in asked or (objects and row["object"] not in objects):
             continue
         asked.add(keys)
-        title, trials, found = _diagnosed(folder, row)
+        with show_progress() as progress:
+            title, trials, found = _diagnosed(folder, row, progress)
         console.print(f"{title}: {found if isinstance(found, str) else found.verdict}", style="bold")
         if not isinstance(found, str):
             if found.named or not found.misfit.by_chance:
@@ -77,7 +81,7 @@ def doctor(
         raise InvalidValueError("--draw", draw, "a draw that the folder has estimates of")
 
 
-def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | str]:
+def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[str], Diagnosis | str]:
     """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
     from estimators.posterior.diagnosis import diagnose
     from scenarios.results.store import Store
@@ -95,7 +99,7 @@ def _diagnosed(folder: Path, row: Row) -> tuple[str, list[str], Diagnosis | str]
     ]
     if wrong := wrong_motion(shape, moved):
         return title, words, "; ".join(["the trials are not what their actions say", *wrong])
-    return title, words, diagnose(shape, weight_of(weighing), moved) or NOTHING
+    return title, words, diagnose(shape, weight_of(weighing), moved, partial(progress, "fits")) or NOTHING
 
 
 def _worst(found: Diagnosis, trials: list[str]) -> str:

@@ -23,10 +23,10 @@ from estimators.registry import POLICY
 from scenarios.runners import FeasibilityCheck, RunnerSettings
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
-from testbed.errors import InfeasibleTrialError, InvalidValueError
+from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import check_name, configured, find_class, placed_errors, source_hash
-from testbed.sensing.noise import read_scale
+from testbed.sensing.noise import check_reading, read_scale
 from testbed.sensing.presets import Sensing, preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.seeds import seed_of
@@ -35,8 +35,6 @@ from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 Count = Annotated[int, Field(ge=1, le=100_000)]
 POLICIES = (*RANK_DRIVEN, "stop_and_go", "push", "drag", "greedy", "batch", "random", "online")
 """heft's own policies."""
-SURE_WEIGHT = 3.0
-"""Reading of the scale over its error from which it shows the object at all."""
 PLANNED = ("greedy", "batch", "random", "online")
 """Policies that choose among drawn candidates, pushes among them where `pushes` is given."""
 
@@ -335,9 +333,7 @@ class Policy(BaseModel):
         """
         sensor = preset(self.plan_for)
         reading = read_scale(model.total_mass, sensor, seed_of(secret, "scale", self.seed, model.name))
-        if reading <= SURE_WEIGHT * sensor.scale:
-            why = f"weight: the scale reads {1e3 * reading:.2g} g, with an error of {1e3 * sensor.scale:.2g} g"
-            raise InfeasibleTrialError(f"{model.name}: {why}; take a better scale or a heavier object")
+        check_reading(model.name, reading, sensor)
         return FeasibilityCheck(model.shape, Guess(reading, sensor.stated, self.most_friction), settings)
 
     def split(

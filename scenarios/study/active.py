@@ -20,6 +20,7 @@ from testbed.actions.base import Action
 from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import ObjectModel
+from testbed.sensing.noise import check_reading
 from testbed.sensing.presets import preset
 from testbed.sensing.windows import weight_of
 from testbed.simulation.settings import SimulationSettings
@@ -74,6 +75,7 @@ class ActiveRun:
         """
         keys = [self._simulated(Weigh())]
         weight = weight_of(self._measured(keys)[0])
+        check_reading(self.model.name, weight, preset(self.sensing))
         on_weight(weight)
         guess = Guess(weight, preset(self.sensing).stated, supports=self.assumed)
         shape, refused = self.model.shape, dict[Action, str]()

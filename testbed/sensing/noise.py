@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from testbed.errors import InvalidValueError
+from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import perpendicular
 from testbed.objects.model import GRAVITY
 from testbed.sensing.camera import draw_camera
@@ -21,6 +21,9 @@ from testbed.sensing.seen import as_seen
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.instruments import as_measured, rounded, true_sensing
+
+SURE_WEIGHT = 3.0
+"""Reading of a scale over its error from which it shows the object at all."""
 
 
 def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
@@ -84,3 +87,14 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
 def read_scale(mass: float, sensing: Sensing, seed: int | Sequence[int]) -> float:
     """Reading of a scale [kg]: the mass with one draw of the scale's error."""
     return mass + sensing.scale * float(np.random.default_rng(seed).standard_normal())
+
+
+def check_reading(name: str, reading: float, sensing: Sensing) -> None:
+    """Check that a scale shows an object.
+
+    Raises:
+        InfeasibleTrialError: it reads less than some of its own errors.
+    """
+    if reading <= SURE_WEIGHT * sensing.scale:
+        why = f"weight: the scale reads {1e3 * reading:.2g} g, with an error of {1e3 * sensing.scale:.2g} g"
+        raise InfeasibleTrialError(f"{name}: {why}; take a better scale or a heavier object")

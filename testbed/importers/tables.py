@@ -125,8 +125,10 @@ class TableLog:
 
         Raises:
             InvalidValueError: no such column; the message names the nearest.
-            LogError: several have this name.
+            LogError: several have this name, or none holds numbers.
         """
+        if not self._names:
+            raise LogError(f"{self.path}: no column holds numbers; allowed: columns of numbers and times, not of text")
         if name not in self._names:
             raise unknown(field, name, self._names, self.path)
         if (count := self._names.count(name)) > 1:
@@ -183,6 +185,9 @@ class TableLog:
             raise LogError(f"{got}; allowed: {allowed}, or blank{hint}")
 
 
+_GZIP = b"\x1f\x8b"
+
+
 def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[int], pd.Series]]:
     """Names of the columns of a table of text, and the cells of each, by the numbers of their lines."""
     try:
@@ -217,6 +222,9 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
     numbers = np.asarray(pd.to_numeric(table.iloc[0], errors="coerce"), dtype=float)
     if mapping.header and not np.isnan(numbers).any():
         allowed = "names of the columns, or header = false in the mapping, which names them 1, 2, ..."
+        above = lines[kept[0] - 1] if kept[0] else ""
+        if mapping.comment and len(sought) == 1 and above.count(sought) == head.count(sought):
+            allowed += f"; line {kept[0]} has names, but begins with comment {json.dumps(mapping.comment)}: take it off"
         raise LogError(f"{path}: no header: line {kept[0] + 1} holds numbers alone; allowed: {allowed}")
     names = first if mapping.header else [str(column) for column in range(1, len(first) + 1)]
     return names, lambda column: table.iloc[int(mapping.header) :, column]
@@ -233,6 +241,8 @@ def _arrays(path: Path) -> tuple[list[str], Callable[[int], pd.Series]]:
 def _decoded(path: Path) -> str:
     """Text of a table: UTF-8, or UTF-16 with its mark, as Excel's "Unicode text"."""
     data = path.read_bytes()
+    if data.startswith(_GZIP):
+        raise LogError(f"{path}: is compressed by gzip; allowed: text: unpack it")
     coding = "UTF-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "UTF-8"
     try:
         return StringIO(data.decode(coding).removeprefix("\ufeff"), newline=None).getvalue()

@@ -76,7 +76,7 @@ def test_a_killed_run_goes_on(longer, tmp_path, victim):
 @pytest.mark.slow
 def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "scenarios", "run", str(finished.scenario), "--out", str(out), "--workers", "2"]
+    command = [sys.executable, "-m", "heft", "run", str(finished.scenario), "--out", str(out), "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 60
     while not list(out.glob("trials/*/trial.json")) and time.monotonic() < deadline:

@@ -1,5 +1,6 @@
 """Logs with values that look like data and are none, and tables in the ways that people save them."""
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -145,6 +146,15 @@ def test_what_cannot_be_read_says_why(tmp_path: Path):
         more = {"separator": ";"} if ";" in text[-1] else {"comment": "#"} if text[0] == "# a" else {}
         with pytest.raises(HeftError, match=said):
             imported(path, mapping | more)
+    path.write_text("\n".join(["# " + names, *rows]) + "\n", encoding="utf-8")
+    with pytest.raises(HeftError, match=r"line 2 holds numbers alone; .*line 1 has names, but begins with comment"):
+        imported(path, mapping | {"comment": "#"})
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    with pytest.raises(HeftError, match="compressed by gzip; allowed: text: unpack it"):
+        imported(path, mapping)
+    table.astype(str).to_parquet(path.with_suffix(".parquet"))
+    with pytest.raises(HeftError, match="no column holds numbers; allowed"):
+        imported(path.with_suffix(".parquet"), mapping)
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n", encoding="ascii")
     with pytest.raises(HeftError, match="git lfs pull"):
         imported(path, mapping)

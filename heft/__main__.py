@@ -1,4 +1,4 @@
-"""`python -m scenarios` is `heft`."""
+"""`python -m heft` is `heft`."""
 
 from scenarios.cli.main import command
 

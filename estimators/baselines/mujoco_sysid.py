@@ -30,8 +30,8 @@ SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
 class MujocoSysid(Peer):
     """Fits mass and friction by `mujoco.sysid`: rollouts of a planar MuJoCo scene, the toolbox's optimizer "scipy".
 
-    It gets M and the errors' covariance and starts at uniform mass, as every peer. Its covariance is the toolbox's.
-    Needs the extra `sysid`.
+    It gets M and the errors' covariance and starts at uniform mass, as every peer. Its covariance is by heft's slopes:
+    the feet of a light group shake in its scene, and the toolbox takes that for a slope. Needs the extra `sysid`.
     """
 
     takes_links: ClassVar[bool] = False
@@ -76,13 +76,14 @@ class MujocoSysid(Peer):
         measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, weighing.error)
         found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
         count = shape.particles_per_group
+        at = MassDistribution(found.group_mass / count, found.friction)
         trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)
         return SearchResult(
-            found.group_mass / count,
-            found.friction,
+            at.mass,
+            at.friction,
             float(found.losses[-1]),
             (trace,),
-            covariance=found.covariance / np.outer(count, count),
+            covariance=problem.report(at).covariance / np.outer(count, count),
             misfit=Misfit(float(found.losses[-1]), 3 * len(windows) - shape.n_m - shape.n_mu),
             rollouts=found.guesses,
         )

@@ -194,8 +194,6 @@ class PlanarFit:
     group_mass: Float[np.ndarray, "n_m"]
     """Mass of each group [kg]."""
     friction: Float[np.ndarray, "n_mu"]
-    covariance: Float[np.ndarray, "n_m n_m"]
-    """Covariance of `group_mass` [kg^2]; infinite where the toolbox's interval is."""
     masses: Float[np.ndarray, "I n_m"]
     """Mass of each group at each iteration [kg]."""
     losses: Float[np.ndarray, "I"]
@@ -247,17 +245,14 @@ def identify(guess: ObjectModel, support: Support, measured: PlanarData, max_ite
 
     way: dict[str, Any] = {"x_scale": "jac", "max_iters": max_iters, "verbose": False, "callback": log}
     with redirect_stdout(io.StringIO()):  # it keeps `verbose` from the optimizer, which prints by default
-        found, result = sysid.optimize(fit.parameters(), fit.residuals, optimizer="scipy", **way)
-    covariance, intervals = sysid.calculate_intervals(fit.residuals(result.x, found)[0], result.jac)
-    covariance = np.where(np.isinf(intervals[:, None] + intervals), np.inf, covariance)[:n_m, :n_m]
+        _, result = sysid.optimize(fit.parameters(), fit.residuals, optimizer="scipy", **way)
     return PlanarFit(
         result.x[:n_m],
         result.x[n_m:],
-        covariance,
         np.array(masses),
         2 * fit.scale**2 * np.array(losses) / len(result.jac),
         np.array(seconds),
-        fit.guesses - 1,  # not that of the intervals
+        fit.guesses,
     )
 
 

@@ -17,7 +17,7 @@ from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
 from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
-from estimators.posterior.on_table import WRENCHES
+from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
 from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
@@ -36,9 +36,9 @@ LOOSE = 1 / 3
 """Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
-LEAST_SHOWN = 1e-8
-"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it rounding counts.
-Ours."""
+LEAST_SHOWN, LEAST_PUSHED = 1e-8, 0.02
+"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it rounding counts,
+and where no turn accelerates the model's own flaws, as those of a push in the inertia. Ours."""
 DISTANCE = 0.02
 """Step of z by which the change of a volume is taken."""
 LEAST_SHIFT = 0.05
@@ -207,6 +207,11 @@ class Posterior:
         return (strength[:, None] * ways.T).numpy(), (strength * at).numpy()
 
     @property
+    def swung(self) -> bool:
+        """True if a turn accelerates."""
+        return any(bool(each.windows.accelerated.any()) for each in self.measurements if isinstance(each, OnTable))
+
+    @property
     def freedom(self) -> int:
         """Rows less masses and frictions."""
         return len(self.optimum.residual) - int(self.of_object.sum())
@@ -237,7 +242,7 @@ class Posterior:
             z = self.optimum.z[where]
             if len(z) == 1:
                 shown = 1 - self.laplace.diagonal()[where]
-                z = self._settled[where] / shown.clamp(min=LEAST_SHOWN).sqrt()
+                z = self._settled[where] / shown.clamp(min=LEAST_SHOWN if self.swung else LEAST_PUSHED).sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, on_table[k] if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)

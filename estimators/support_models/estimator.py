@@ -13,7 +13,6 @@ from estimators.base import Estimate, HiddenStateEstimate
 from estimators.particles.observe import NO_DATA, NO_LINKS
 from estimators.posterior.estimator import posterior_of
 from estimators.posterior.in_air import InAir
-from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.support import DECISIVE, support_test
 from estimators.support_models.materials import rank_assignments
@@ -229,8 +228,7 @@ def _known(rigid: Posterior) -> str:
     """Numbers that one rigid body shows, in words."""
     if any(isinstance(each, InAir) for each in rigid.measurements):
         return "M, c and the second moments"
-    swung = any(isinstance(each, OnTable) and each.windows.accelerated.any() for each in rigid.measurements)
-    return "M, c and I_cm" if swung else "M and c"
+    return "M, c and I_cm" if rigid.swung else "M and c"
 
 
 def _wide(answer: Estimate, other: Estimate, share: float) -> Estimate:

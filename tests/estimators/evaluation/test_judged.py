@@ -35,7 +35,7 @@ METHODS_HELD = {
     "explicit_state": ExplicitState(iterations=1500, use_weight=True, weighting="covariance"),
     "diff_lcp": DiffLcp(iterations=30),
     "cma_es": CmaEs(),
-    "nelder_mead": NelderMead(iterations=2000),
+    "nelder_mead": NelderMead(iterations=4000),
     "least_squares": LeastSquares(),
 }
 QUICK = ("hidden_states", "bayes", "least_squares", "random_search")

@@ -388,6 +388,6 @@ def test_an_estimator_is_given_no_truth():
 
     for rule in (*CONFORMANCE, *WITHOUT_DRAWS):
         rule(estimator(estimate))
-    assert {type(value) for value in given} <= {ObjectShape, float, int, Trajectory}
+    assert {type(value) for value in given} <= {ObjectShape, float, int, Trajectory, type(None)}
     inside = [part for value in given if isinstance(value, Trajectory) for part in vars(value).values()]
     assert not any(isinstance(part, ObjectModel | MassDistribution) for part in inside)

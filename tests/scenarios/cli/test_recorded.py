@@ -100,13 +100,15 @@ def test_logs_become_trials_that_play_again(lab: Path, capsys: pytest.CaptureFix
 def test_trials_that_turn_elsewhere_than_stated_are_an_exit_code(
     lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):
-    """Millimeters read as meters: every center is far off."""
-    for i, record in enumerate(records):
-        write_csv(lab / f"{i}.csv", replace(record, tcp_position=1e3 * record.tcp_position))
-    assert ended("import", "lab.toml", "--out", "lab") == 1
-    said = capsys.readouterr().out
-    assert said.count("wrong   ") >= 2 and "usable" not in said
-    assert "next: correct lab.toml, its units and signs too, and import again" in said
+    """Positions in another unit: every center is far off, or the whole hand."""
+    for part, code in ((30, 1), (1000, 2)):
+        for i, record in enumerate(records):
+            write_csv(lab / f"{i}.csv", replace(record, tcp_position=part * record.tcp_position))
+        assert ended("import", "lab.toml", "--out", "lab") == code
+        said = capsys.readouterr()
+        assert (said.out.count("wrong   ") >= 2) == (code == 1) and "usable" not in said.out
+        assert "next: correct lab.toml, its units and signs too, and import again" in said.out or code == 2
+        assert "is position_unit another?" in said.err or code == 1
 
 
 def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(unweighed: Path, records: list[Trajectory]):

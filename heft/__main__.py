@@ -1,4 +1,4 @@
-"""`python -m heft` is `heft`."""
+"""`python -m heft` is `heft`, where no folder hides a package."""
 
 from scenarios.cli.main import command
 

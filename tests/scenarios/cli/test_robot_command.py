@@ -341,7 +341,7 @@ def hung(obj: ObjectModel) -> Trajectory:
 @pytest.mark.parametrize(
     ("sign", "runner", "code", "finding"),
     [
-        (1, "robot", 0, "all 10 findings are as they should be"),
+        (1, "robot", 0, "all 11 findings are as they should be"),
         (-1, "robot", 1, "it cannot hang upwards: sign is the wrong one"),
         (1, "simulation", 2, "a folder of measured trials"),
     ],

@@ -334,7 +334,7 @@ def test_a_wrong_option_is_refused_in_a_line(root, slide, capsys, monkeypatch, t
 @pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written(egl, root, turn, tmp_path):
     out = tmp_path / "film.mp4"
-    command = [sys.executable, "-m", "heft", "view", str(root), turn.folder.name, "--film", "--out", str(out)]
+    command = [sys.executable, "-m", "scenarios", "view", str(root), turn.folder.name, "--film", "--out", str(out)]
     process = subprocess.Popen(command, cwd=ROOT, env=EGL, stderr=subprocess.PIPE, text=True)
     begun = time.monotonic()
     while not any(path.stat().st_size > 0 for path in tmp_path.glob(".film.mp4.*.part")):

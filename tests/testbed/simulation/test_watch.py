@@ -121,7 +121,7 @@ def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: p
 @pytest.mark.slow
 def test_a_display_that_does_not_answer_is_named():
     """In a process of its own, which has yet to import MuJoCo."""
-    command = [sys.executable, "-m", "heft", "watch", "L2"]
+    command = [sys.executable, "-m", "scenarios", "watch", "L2"]
     env = NO_DISPLAY | {"DISPLAY": ":9871"}
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
@@ -170,7 +170,7 @@ def press_space(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_window_opens_and_the_trial_runs_in_it(display):
-    command = [sys.executable, "-m", "heft", "watch", "L2", "--action", "slide"]
+    command = [sys.executable, "-m", "scenarios", "watch", "L2", "--action", "slide"]
     env = NO_DISPLAY | {"DISPLAY": display}
     process = subprocess.Popen(command, cwd=ROOT, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:

@@ -241,7 +241,7 @@ class Posterior:
             where = self.unknowns.at[name]
             z = self.optimum.z[where]
             if len(z) == 1:
-                shown = 1 - self.laplace.diagonal()[where]
+                shown = 1 - self.covariance.diagonal()[where]
                 z = self._settled[where] / shown.clamp(min=LEAST_SHOWN if self.swung else LEAST_PUSHED).sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, on_table[k] if block.by_trial else None) for k, one in enumerate(each)]

@@ -91,6 +91,8 @@ def identify(
     console.print(_errors_table(model, report))
     condition = f"condition {report.condition:.0f}" if math.isfinite(report.condition) else "nothing is observed"
     console.print(f"{report.sentence}; {condition}")
+    if not model.shape.grasps and not pushes:
+        console.print("no grasp fits the hand, so nothing turns: --pushes 12 has pushes")
     count = model.shape.particles_per_group
     loose = loose_groups(model.shape, model.truth.mass, report.covariance / np.outer(count, count))
     if loose and report.rank == report.unknowns:

@@ -230,4 +230,5 @@ def _findings(trials: list[TrialRecord], name: str) -> list[Finding]:
         wrench = lifts[-1].wrench_on_object_world
         covariance = mean_covariance(wrench) + np.diag(lifts[-1].sensor_bias_std ** 2)
         found += check_trial(wrench.mean(axis=0), covariance, [], mass=scale[-1] if scale else None)
-    return found + check_wrenches(records) + check_motion(of_object[0].object.shape, records)
+    shape = of_object[0].object.shape
+    return found + check_wrenches(shape, records) + check_motion(shape, records)

@@ -127,7 +127,8 @@ def convert_mesh(
     pieces, how = cut(laid, parts)
     shapes = tuple(as_mesh(piece) for piece in pieces)
     way = "planes" if how[0].isdigit() else how
-    notes.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}")
+    alone = "" if len(pieces) > 1 else ": nothing of its mass is to be found, unless --parts 3 or 0.3,0.6 divides it"
+    notes.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}{alone}")
     notes.append(f"rests on {len(pose.contacts)} points")
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))

@@ -88,10 +88,14 @@ def _heading(shape: ObjectShape, trial: Trajectory) -> Finding:
     return Finding("heading", ok, off, text + ("" if ok else ": correct its direction, rad in the object's frame"))
 
 
-def check_wrenches(trajectories: Iterable[Trajectory]) -> list[Finding]:
-    """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well."""
+def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> list[Finding]:
+    """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well.
+
+    Links that trail pull aside, and lie elsewhere on the way back: of an object with hinges, only the sign of the work.
+    """
     gripped = [t for t in trajectories if t.action.dragged_steadily]
-    return [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated([t]))]
+    found = [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated([t]))]
+    return [finding for finding in found if shape.chain is None or finding.what == "friction"]
 
 
 def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
@@ -99,7 +103,7 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
     All findings of `check_motion`, and one of each kind of `check_trial`, without what a weak drag leaves open.
     """
-    found = check_wrenches(t for t in trajectories if t.ok)
+    found = check_wrenches(shape, (t for t in trajectories if t.ok))
     sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 

@@ -1,5 +1,6 @@
 """Checks of a calibrated bench: a trial, motion against the stated actions, weighing and a known mass."""
 
+import math
 import re
 from dataclasses import replace
 from typing import Any
@@ -13,14 +14,15 @@ from estimators.testing.analytic_world import analytic_trial, drawn_object
 from testbed.actions.rotate import Rotate
 from testbed.actions.slide import Slide
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.robot.calibration.motion import check_motion, wrong_motion
+from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
+from testbed.robot.calibration.motion import check_motion, check_wrenches, wrong_motion
 from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
+from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.helpers.records import coloured_noise
 
 COVARIANCE = np.diag(np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 2e-4]) ** 2)
@@ -162,6 +164,18 @@ def test_the_closing_direction_is_corrected_by_what_it_is_off(degrees):
     assert set(found) == {"closing direction"}
     assert f"correct closing_deg by {degrees:+d} (z axis that points up: {-degrees:+d})" in found["closing direction"]
     assert not wrong_in(turns()[:1]) and set(wrong_in(trials[:1])) == {"closing direction"}
+
+
+def test_links_that_trail_pull_aside_and_nothing_is_wrong():
+    chain = drawn_chain(1)
+    slide = analytic_links(chain, Slide(0, math.pi / 2, duration=2.5))
+    assert "direction" in wrong_in_wrenches(OBJECT.shape, slide)
+    assert not wrong_in_wrenches(chain.shape, slide)
+    assert wrong_motion(chain.shape, [slide]) == []
+
+
+def wrong_in_wrenches(shape: ObjectShape, trial: Trajectory) -> dict[str, str]:
+    return {finding.what: finding.text for finding in check_wrenches(shape, [trial]) if not finding.ok}
 
 
 def test_a_tcp_beside_its_place_is_told_by_how_much():

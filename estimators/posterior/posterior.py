@@ -36,9 +36,10 @@ LOOSE = 1 / 3
 """Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
-LEAST_SHOWN, LEAST_PUSHED = 1e-8, 0.02
-"""Least part of the prior's variance that measurements are taken to explain of a nuisance: below it rounding counts,
-and where no turn accelerates the model's own flaws, as those of a push in the inertia. Ours."""
+LEAST_SHOWN = 0.02
+"""Least part of the prior's variance that measurements are taken to explain of a nuisance. Below it what they show of
+the inertia of accelerated turns is taken at the optimum, where a wrong weight leaves little; of others, flaws of the
+model count. Ours."""
 DISTANCE = 0.02
 """Step of z by which the change of a volume is taken."""
 LEAST_SHIFT = 0.05
@@ -241,8 +242,10 @@ class Posterior:
             where = self.unknowns.at[name]
             z = self.optimum.z[where]
             if len(z) == 1:
-                shown = 1 - self.covariance.diagonal()[where]
-                z = self._settled[where] / shown.clamp(min=LEAST_SHOWN if self.swung else LEAST_PUSHED).sqrt()
+                shown = (1 - self.covariance.diagonal()[where]).clamp(min=LEAST_SHOWN)
+                if name == "inertia" and self.swung:
+                    shown = torch.minimum(shown, 1 - self.laplace.diagonal()[where]).clamp(min=SMALLEST)
+                z = self._settled[where] / shown.sqrt()
             each = z.reshape(len(block.mean), -1) if block.by_trial else z[None]
             found += [Part.of(name, one, on_table[k] if block.by_trial else None) for k, one in enumerate(each)]
         return sorted(found, key=lambda part: part.log_chance)

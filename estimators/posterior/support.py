@@ -39,7 +39,10 @@ MAX_MISFIT = 10.0
 STIFF = 0.9
 """Share of springs from which a search starts near one rigid body: beyond it loads hardly change."""
 NEARLY = 0.03
-"""Difference of the share from an end up to which it counts as that: simulated bodies have 0.97 to 1.02. Ours."""
+"""Difference of the share from 1 up to which a body counts as rigid: simulated ones have 0.97 to 1.02. Ours."""
+
+MOST = 1.5
+"""Largest share that is printed: fits of trials that no support explains have any. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,7 @@ class SupportTest:
         if self.shared is not None:
             sentences["between"] = "the weight is spread as by springs between the groups"
         share, error = 100 * self.rigid_share, 100 * self.rigid_share_error
-        part = f"; rigid to {share:.0f} +- {error:.2g} %" if _possible(self.rigid_share) else ""
+        part = f"; rigid to {share:.0f} +- {error:.2g} %" if -NEARLY < self.rigid_share < MOST else ""
         return f"{sentences[self.kind]} (Bayes factor 10^{self.log10_bayes_factor:.1f} for own weight{part})"
 
 
@@ -158,13 +161,8 @@ def _springs(
         shared = max(filter(None, fits), key=lambda fit: fit.log_evidence_to_scale)
         alone = max(ends, key=lambda fit: fit.log_evidence_to_scale)
     gained = shared.log_evidence_to_scale - alone.log_evidence_to_scale
-    possible = _possible(float(shared.of("rigid_share")[0]))
+    possible = float(shared.of("rigid_share")[0]) > -NEARLY
     return shared if possible and shared.explained.explains and gained > DECISIVE * math.log(10) else None
-
-
-def _possible(share: float) -> bool:
-    """True of a share that springs can have."""
-    return -NEARLY < share < 1 + NEARLY
 
 
 def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: float) -> float:

@@ -26,6 +26,8 @@ REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
 BATCH = 100_000
 """Points of contact, over the parts of windows, that are worked on at once."""
+SMALLEST = 1e-12
+"""Least change of a force of 1 N that counts, N."""
 PAIR = torch.zeros(2, dtype=torch.float64)
 IN_PLANE = torch.tensor(SIDEWAYS[:, :2])
 
@@ -139,12 +141,22 @@ class Table:
 
     @cached_property
     def unresolved(self) -> Float[Tensor, "K 3+H P"]:
-        """Change of `drag_rows` by half as many parts: about what a motion that changes within a part leaves out."""
+        """Part of `drag_rows` that a motion which changes within a part may leave out.
+
+        Its change by half as many parts, times what the changes so far leave to come as a geometric series
+        (Richardson): a third of it where motion is smooth, all of it where two halvings change it alike.
+        """
+        rows = [self.drag_rows(), self._in_parts_of(2).drag_rows(), self._in_parts_of(4).drag_rows()]
+        finer, coarser = rows[0] - rows[1], rows[1] - rows[2]
+        fine, coarse = (change.flatten(1).norm(dim=1) for change in (finer, coarser))
+        left = (fine / (coarse - fine).clamp(min=SMALLEST)).clamp(max=1.0)
+        return finer * torch.where(coarse > fine, left, 1.0)[:, None, None]
+
+    def _in_parts_of(self, count: int) -> Table:
+        """The windows with the mean motion of so many parts in each of them."""
         rates = self.windows["rates"]
-        even = rates.shape[1] // 2 * 2
-        mean = rates[:, :even].unflatten(1, (-1, 2)).mean(2).repeat_interleave(2, 1)
-        halved = self.windows | {"rates": torch.cat([mean, rates[:, even:]], 1)}
-        return self.drag_rows() - replace(self, windows=halved).drag_rows()
+        means = [part.mean(1, keepdim=True).expand_as(part) for part in rates.split(count, dim=1)]
+        return replace(self, windows=self.windows | {"rates": torch.cat(means, 1)})
 
     @property
     def at_middles(self) -> Table:

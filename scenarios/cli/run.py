@@ -134,7 +134,6 @@ def run(
         if record:
             with show_progress() as progress:
                 record_all(folder, progress)
-        print("figures, report and recording are being written", file=sys.stderr, flush=True)
         written = list(write_views(folder, results, tasks, recording=not _many(results)))
     good = say_failures(folder, results)
     print(*(line for line in written if not line.startswith("figure: ")), sep="\n")

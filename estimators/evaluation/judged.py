@@ -22,8 +22,9 @@ from testbed.worlds.setup_errors import SetupErrors
 
 SAME_WEIGHT = 0.01
 """Part of M within which masses count as weighed: then the search is no cause of another inertia."""
-FAR = 1.1
-"""Ratio of the masses to the weight from which that is said."""
+FAR, ABOUT = 1.1, 0.5
+"""Ratio of the masses to the weight from which a disagreement is said, and part of the weight within which masses that
+are taken for those of groups add up to it."""
 SURE = 3.0
 """Standard errors by which the masses may miss the weight, and an answer is `ok`."""
 DRY = 0.05, 2.0
@@ -83,7 +84,7 @@ def _left_open(answer: Estimate, shape: ObjectShape, whole: float) -> str:
 
 
 def _beside_the_weight(answer: Estimate, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> str:
-    """Disagreement of an answer's own errors with the weight, in words; empty if they agree or there are none."""
+    """Distance of the masses from the weight, in words, where an answer's own errors do not allow it; else empty."""
     if answer.covariance is None or answer.distribution is None or not np.isfinite(answer.covariance).all():
         return ""
     count, stated = shape.particles_per_group, SetupErrors.largest([trial.setup for trial in trajectories])
@@ -105,7 +106,7 @@ def _not_the_weight(mass: Float[np.ndarray, "n_m"], shape: ObjectShape, weight: 
     times = float(shape.particles_per_group @ mass) / weight if weight else 1.0
     if 1 / FAR < times < FAR:
         return ""
-    of_groups = weight is not None and abs(float(mass.sum()) / weight - 1) < FAR - 1
+    of_groups = weight is not None and abs(float(mass.sum()) / weight - 1) < ABOUT
     hint = ": these are masses of groups, where the mean mass of a particle of each is due" if of_groups else ""
     return f"the masses of all particles add up to {times:.3g} times the weight{hint}"
 

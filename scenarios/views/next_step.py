@@ -56,25 +56,24 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
     if doubt := _doubt(folder, found, shape, weighing, trials):
         return f"next: {doubt}"
-    if found.status == "ok" and found.message:
-        return f"next: {found.message}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
     guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
     known: Any = SimpleNamespace(estimate=lambda *_: found)  # the answer that is there
     policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=known)
     decision = policy.decide(shape, trials)
     sure = f"the expected error of the masses, taken together, is {100 * decision.nad:.2g} % of the whole"
+    noted = f"; {found.message}" if found.status == "ok" and found.message else ""
     if decision.action is None or (decision.answered and decision.nad < ENOUGH):
         if decision.answered and all(trial.setup.none for trial in trials):
             return (
                 f"next: {sure}, if contacts, friction, grasps, arm and sensor are exact. The mapping states no errors "
-                'of them: [setup] preset = "lab" has those of a usual lab'
+                f'of them: [setup] preset = "lab" has those of a usual lab{noted}'
             )
-        return f"next: nothing more is needed: {sure}" if decision.answered else f"next: {decision.why}"
+        return f"next: nothing more is needed: {sure}{noted}" if decision.answered else f"next: {decision.why}"
     error = decision.standard_error
     worst = [shape.group_names[g] for g in np.argsort(-error)[:_LEAST_SURE]]
     least = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
-    return f"{least}, {sure}" if decision.answered else f"{least}; the trials give no answer yet"
+    return f"{least}, {sure}{noted}" if decision.answered else f"{least}; the trials give no answer yet"
 
 
 def _doubt(

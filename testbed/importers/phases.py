@@ -59,6 +59,8 @@ MOST_NAMED = 3
 """Spikes of a component that are named by their times."""
 _SHORTEST_LOG = 0.5
 """Least time that all columns of a log share [s]: a push at 0.2 m/s lasts that long."""
+_ROUNDING = 1e-5
+"""Rounding of a difference of logged times [s]."""
 _PAUSE = 1.0
 """Gap that is more likely between two trials than within one [s]."""
 _SMOOTHING = 0.25
@@ -75,10 +77,11 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
     for one in series:
         gaps = np.diff(one.time_s)
         at, usual = int(np.argmax(gaps)), float(np.median(gaps))
-        if gaps[at] > 1.01 * longest_gap:
-            given = f"silent for {gaps[at]:.3g} s at {one.time_s[at] - one.time_s[0]:.2f} s"
+        if gaps[at] > longest_gap + _ROUNDING:
+            silent = f"{gaps[at]:.3g}" if gaps[at] > 1.01 * longest_gap else f"{gaps[at]:.6g}"
+            given = f"silent for {silent} s at {one.time_s[at] - one.time_s[0]:.2f} s"
             hint = "; several trials in one log: give from_s and to_s of each" if gaps[at] > _PAUSE else ""
-            if usual > longest_gap:
+            if usual > 1.01 * longest_gap:
                 given = f"a sample every {usual:.3g} s"
                 hint = "; is time.unit another (ms, us, ns)?" if usual > _PAUSE else ""
             raise LogError(

@@ -163,6 +163,9 @@ def test_what_cannot_be_read_says_why(tmp_path: Path):
         imported(path, mapping | {"longest_gap_s": 0.05})
     slow = table["stamp"].iloc[0] + 1.0002 * (table["stamp"] - table["stamp"].iloc[0])
     table.assign(stamp=slow).iloc[::10].to_csv(path, index=False)
+    with pytest.raises(HeftError, match=r"silent for 0\.10002 s .* allowed: 0\.1 s"):
+        imported(path, mapping | {"longest_gap_s": 0.1})
+    table.iloc[::10].to_csv(path, index=False)
     assert imported(path, mapping | {"longest_gap_s": 0.1}).ok  # as long but for rounding
 
 

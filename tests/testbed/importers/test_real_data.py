@@ -39,7 +39,17 @@ def test_all_pushes_of_a_plate_show_its_center(plate: str, tmp_path: Path):
     answer = center(obj, trials)
     assert len(trials) == PLATES[plate] and answer is not None and answer.status == "ok"
     assert np.hypot(*answer.center) < 3 and (np.abs(answer.center) < NINETY * answer.error).all()
-    assert 0.46 <= answer.friction <= 0.51  # the sum of forces shows 0.47 to 0.50
+
+
+LOW = pytest.mark.xfail(strict=True, reason="0.465: the mode of friction's own density is below the joint one, 0.49")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PUSHES.is_dir(), reason="needs MIT's pushes: HEFT_REAL_DATA names no folder with mit_push")
+@pytest.mark.parametrize("plate", [pytest.param("ellip3", marks=LOW), "hex"])
+def test_all_pushes_of_a_plate_show_its_friction(plate: str, tmp_path: Path):
+    answer = center(*read(found(tmp_path, plate)))
+    assert answer is not None and 0.47 <= answer.friction <= 0.51
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from estimators.base import Estimate, Trace, robot_seconds
 from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.evaluation.judged import misfit_on
+from estimators.identifiability.report import Identifiability
 from estimators.particles.misfit import Misfit
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
@@ -136,8 +137,8 @@ class SearchResult:
     friction: Float[np.ndarray, "n_mu"]
     loss: float
     traces: tuple[Trace, ...]
-    covariance: Float[np.ndarray, "n_m n_m"] | None = None
-    """Covariance of `mass` [kg^2], if the search gives one."""
+    report: Identifiability | None = None
+    """Masses and frictions that the trials show at the answer, if the search has errors."""
     misfit: Misfit | None = None
     """Misfit by the search's own model of the trials, if that is not heft's."""
     rollouts: int | None = None
@@ -217,7 +218,7 @@ class Baseline(ABC):
         self, problem: Problem, found: SearchResult, weight: float | None, trajectories: Sequence[Trajectory]
     ) -> Estimate:
         """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
-        at = MassDistribution(found.mass, found.friction)
+        at, count = MassDistribution(found.mass, found.friction), problem.shape.particles_per_group
         misfit = found.misfit or misfit_on(self._support, problem.shape, weight, trajectories, at, self._errors)
         assert misfit is not None
         left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
@@ -228,13 +229,13 @@ class Baseline(ABC):
         elif left > FAR_OFF:
             status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
             why += "the search is too short, or the trajectories contradict each other"
-        elif problem.shape.n_mu > 1 and (open_ := problem.report(at).unobservable):
-            status, why = "underdetermined", f"mass and friction cannot be told apart: {'; '.join(open_)}"
+        elif problem.shape.n_mu > 1 and (open_ := (found.report or problem.report(at)).ambiguity):
+            status, why = "underdetermined", open_
         return Estimate(
             at,
             status,
             why,
-            None if found.covariance is None else misfit.widening * found.covariance,
+            None if found.report is None else misfit.widening * found.report.covariance / np.outer(count, count),
             traces=tuple(replace(trace, robot_seconds=robot_seconds(trajectories)) for trace in found.traces),
             diagnostics={"loss": found.loss, "rollouts": float(rollouts), **misfit.diagnostics},
             assumes=ASSUMPTION[self._support],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
 import torch
 
 from estimators.base import Trace
@@ -83,7 +82,7 @@ class MujocoSysid(Peer):
             at.friction,
             float(found.losses[-1]),
             (trace,),
-            covariance=problem.report(at).covariance / np.outer(count, count),
+            report=problem.report(at),
             misfit=Misfit(float(found.losses[-1]), 3 * len(windows) - shape.n_m - shape.n_mu),
             rollouts=found.guesses,
         )

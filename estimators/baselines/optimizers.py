@@ -124,5 +124,4 @@ class LeastSquares(Peer):
         found = objective.result("least_squares")
         if self.weighting != "covariance":
             return found
-        report, count = problem.report(MassDistribution(found.mass, found.friction)), problem.shape.particles_per_group
-        return replace(found, covariance=report.covariance / np.outer(count, count))
+        return replace(found, report=problem.report(MassDistribution(found.mass, found.friction)))

@@ -52,6 +52,12 @@ class Identifiability:
             object.__setattr__(self, name, checked)
 
     @property
+    def ambiguity(self) -> str:
+        """Open directions in a sentence; empty without any."""
+        found = "; ".join(self.unobservable)
+        return f"mass and friction cannot be told apart: {found}" if found else ""
+
+    @property
     def standard_error(self) -> Float[np.ndarray, "n_m"]:
         """Standard error of each mass group [kg], infinite where open."""
         return np.sqrt(np.diagonal(self.covariance))

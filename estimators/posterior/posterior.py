@@ -19,13 +19,12 @@ from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
 from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
-from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, solve
+from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, joined, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
-ROWS = "residual", "slopes"
 OBJECT = ("mass", "friction")
 """Blocks of the object itself; all others are nuisances."""
 CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
@@ -292,7 +291,7 @@ class Posterior:
     @cached_property
     def _settled(self) -> Float[Tensor, "n"]:
         """z one step beyond the optimum: what the search leaves counts where measurements show little of a number."""
-        residual, slopes = (torch.cat([getattr(row, name) for row in self._rows_at_optimum]) for name in ROWS)
+        residual, slopes = joined(self._rows_at_optimum)
         return self.optimum.z - self.laplace @ (slopes.T @ residual + self.optimum.z)
 
     @property
@@ -360,7 +359,7 @@ class Posterior:
         misfit = self.explained
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
-        directions = f"mass and friction cannot be told apart: {'; '.join(report.unobservable)}" if open_ else ""
+        directions = report.ambiguity
         if misfit.explains and not open_ and (loose := loose_groups(shape, at.mass, covariance)):
             open_, directions = True, f"hardly known: {', '.join(loose)}"
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"

@@ -76,6 +76,11 @@ class Whitened:
         return _over(self.roots, values)
 
 
+def joined(rows: Sequence[Whitened]) -> tuple[Float[Tensor, "R"], Float[Tensor, "R n"]]:
+    """Residuals and slopes of all measurements together."""
+    return torch.cat([each.residual for each in rows]), torch.cat([each.slopes for each in rows])
+
+
 def _over(roots: Blocks, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
     """Values over the roots of their covariance."""
     found = torch.empty_like(values)
@@ -110,7 +115,7 @@ def solve(
         rounds += 1
         found = [each.linearized(unknowns, z) for each in measurements]
         rows = [Whitened.of(each) for each in found]
-        residual, slopes = (torch.cat([getattr(each, name) for each in rows]) for name in ("residual", "slopes"))
+        residual, slopes = joined(rows)
         now = float(residual @ residual + z @ z)
         inner, gradient = slopes.T @ slopes, slopes.T @ residual + z
 

@@ -159,7 +159,7 @@ def _springs(
     if not sprung.explained.explains or share > SOFT:
         starts = zip(ends, (STIFF / 2, STIFF), strict=True)
         fits = [
-            posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=share) for each, share in starts
+            posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=start) for each, start in starts
         ]
         found.append((max(filter(None, fits), key=_evidence), max(ends, key=_evidence)))
     if sprung.explained.explains and share <= STIFF / 2:

@@ -59,11 +59,12 @@ class TableErrors:
             drag: friction of every particle, N.
             errors: errors of the model.
         """
-        # a camera's motion has its noise in place of a hand's wandering
-        by_hand = ~(windows.pushed | windows.articulated)[:, None, None]
-        unresolved = by_hand * (table.unresolved @ drag[..., None])
+        by_hand = ~(windows.pushed | windows.articulated)  # a camera's motion has its noise in place of wandering
+        wanders = windows.twists[by_hand].diff(dim=1).any()
+        left_out = [by_hand[:, None, None] * (table.unresolved @ drag[..., None])] if wanders else []
         table = table.dragged(drag)
-        slopes, hinges = _slopes(windows, table, mass) | {"unresolved": unresolved}, windows.hinges
+        slopes, hinges = _slopes(windows, table, mass), windows.hinges
+        slopes["unresolved"] = torch.cat([slopes["twist"][..., :0], *left_out], -1)
         planar, late = _of_motion(windows, table, slopes, drag, errors)
         # an error of the inertia is once of each trial, and once of all: that is an unknown
         late = torch.cat([late, errors.inertia_error * slopes["mass"] @ mass[:, None]], -1)

@@ -37,6 +37,7 @@ SEPARATORS = ("\t", ";", ",")
 """Characters that separate columns in most tables."""
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 """Message of pandas on a row longer than those before, with its line, counted from 1."""
+_GZIP = b"\x1f\x8b"
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _UNIT = re.compile(r"[\[(]?(k?N|kgf|lbf|m?N[ *.]?m{1,2}|[mcu]?m|[mun]?s|rad|deg|°)( ?/ ?s)?[\])]?")
 EPISODE = "episode_index"
@@ -183,9 +184,6 @@ class TableLog:
             elif at == 0 and _UNIT.fullmatch(cell):
                 hint = "; a line of units below the names is no row: delete it"
             raise LogError(f"{got}; allowed: {allowed}, or blank{hint}")
-
-
-_GZIP = b"\x1f\x8b"
 
 
 def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[int], pd.Series]]:

@@ -363,10 +363,13 @@ def reduced_trials(
     """
     found, records = {}, set()
     for index, trajectory in enumerate(trajectories):
-        action, record = trajectory.action, trajectory.wrench_on_object_world.tobytes()
-        if not trajectory.ok or not kind(action) or (action, record) in records:
+        action = trajectory.action
+        if not trajectory.ok or not kind(action):
             continue
-        records.add((action, record))
+        record = action, trajectory.wrench_on_object_world.tobytes()
+        if record in records:
+            continue
+        records.add(record)
         if action.grasp is not None and action.grasp >= len(shape.grasps):
             allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
             raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)

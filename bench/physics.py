@@ -21,7 +21,6 @@ from estimators.action_selection.pushes import RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.particles.links import HINGE_PRIOR
 from estimators.particles.observe import observe
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of
 from estimators.wrench.support import own_weight, rigid_loads
@@ -117,15 +116,19 @@ def link_errors(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
     found = trials_by(model, lambda refused: RandomDrags(DRAGS, seed=0, refused=refused))
     trials = TrialWindows.of(model.shape, model.total_mass, found, ModelErrors())
     assert trials is not None
-    windows, s = trials.windows, trials.friction_loads(model.truth)
-    equations = trials.friction_equations(model.truth)
-    held = equations.wide["hinge_friction"] @ torch.tensor(model.hinge_friction, dtype=torch.float64) / HINGE_PRIOR
-    off = equations.b - equations.q @ torch.tensor(s) - held
-    drag, turning = trials.groups.spread(s), ~windows.standing
-    lever, hinges = trials.on_table.table.lever.norm(dim=-1) @ drag, equations.drag_rows[:, 6:].abs() @ drag
-    planar = torch.stack([off[:, :2].norm(dim=1) / drag.sum(), off[:, 5].abs() / lever], 1)
-    about = off[:, 6:][turning].abs() / hinges[turning]
-    return 100 * planar.numpy(), 100 * about.numpy()
+    observed, table, particles = trials.windows, trials.on_table.table, trials.model
+    mass = torch.tensor(model.particle_mass)
+    load = observed.gripper_load(particles, mass, model.shape.height)
+    normal = own_weight(particles, mass, load).loads(load)
+    friction = particles.particle_friction(torch.tensor(model.truth.friction)) * normal
+    hinges = torch.tensor(model.hinge_friction, dtype=torch.float64)
+    off = table.dragged(friction).rows({"mass": mass, "hinge_friction": hinges})
+    off[:, :3] -= observed.wrench
+    lever = (friction * table.lever.norm(dim=-1)).sum(-1)
+    planar = torch.stack([off[:, :2].norm(dim=1) / friction.sum(-1), off[:, 2].abs() / lever], 1)
+    about = torch.einsum("krp,kp->kr", table.drag_rows().abs(), friction)
+    turning = ~observed.standing
+    return 100 * planar.numpy(), 100 * (off / about)[:, 3:][turning].abs().numpy()
 
 
 def sensor_error(name: str, support: Support, action: Rotate) -> tuple[float, float, float]:

@@ -37,23 +37,61 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
     The foundation has even stiffness. All groups share one tilt; each has a height of its own (own weight), a height
     joined to its neighbors' by springs, or the common height (rigid). A group's weight acts at its center of mass.
     """
-    shape = obj.shape
-    feet = np.flatnonzero(shape.friction_group >= 0)
-    group = np.zeros(len(feet), dtype=int) if support.is_rigid else shape.mass_group[feet]
-    heights = 1 if support.is_rigid else shape.n_m
-    sinks = np.column_stack([np.eye(heights)[group], shape.particles[feet]])
-    stiffness = foot_stiffness(obj, contact)
-    matrix = stiffness * sinks.T @ sinks
+    feet, loads = Feet.of(obj), np.zeros(len(obj.shape.particles))
+    loads[feet.particle] = _at_rest(obj, support, contact, feet, obj.shape)[1] * _stiffness(obj, feet, contact)
+    return loads
+
+
+def lay_level(
+    spec: mujoco.MjSpec, obj: ObjectModel, support: Support, contact: ContactSettings, feet: Feet, joined: ObjectShape
+) -> None:
+    """Let the object lie level at rest, each foot as deep in the foundation as its load takes.
+
+    A contact of MuJoCo's acts halfway between the surfaces, which would be lower under a heavy group than under a light
+    one. So the foundation begins above the table by as much as a foot sinks at rest, and the foot stays on the table.
+
+    Args:
+        spec: scene with feet, and with springs between groups.
+        obj: the object.
+        support: support of its weight.
+        contact: softness of the foundation.
+        feet: points of contact.
+        joined: shape whose groups touch where springs join them.
+    """
+    height, sink = _at_rest(obj, support, contact, feet, joined)
+    for index, depth in enumerate(sink):
+        spec.pair(f"foot_{index}").margin = max(depth, 0.0)
+        spec.geom(f"foot_{index}").pos[2] -= min(depth, 0.0)
+    if support.stiffness > 0 and not support.is_rigid:
+        for a, b in joined.neighbors:
+            spec.tendon(f"spring_{a}_{b}").springlength = [height[a] - height[b]] * 2
+
+
+def _at_rest(
+    obj: ObjectModel, support: Support, contact: ContactSettings, feet: Feet, joined: ObjectShape
+) -> tuple[Float[np.ndarray, "G"], Float[np.ndarray, "F"]]:
+    """Depth to which every group sinks at the frame's origin, and every level foot [m]; negative where it would pull.
+
+    Arguments as `lay_level`; a rigid body is one group.
+    """
+    group = np.zeros(len(feet.particle), dtype=int) if support.is_rigid else obj.shape.mass_group[feet.particle]
+    groups = 1 if support.is_rigid else obj.shape.n_m
+    sinks = np.column_stack([np.eye(groups)[group], feet.position])
+    matrix = sinks.T @ (_stiffness(obj, feet, contact)[:, None] * sinks)
     if not support.is_rigid:
-        for a, b in shape.neighbors:
+        for a, b in joined.neighbors:
             matrix[[a, b], [a, b]] += support.stiffness
             matrix[[a, b], [b, a]] -= support.stiffness
     weight = [obj.total_mass * GRAVITY] if support.is_rigid else obj.group_mass * GRAVITY
     wanted = np.append(weight, obj.total_mass * GRAVITY * obj.center_of_mass)
     # A straight row of feet leaves the tilt across it open: the least-norm solution has none
-    loads = np.zeros(len(shape.particles))
-    loads[feet] = stiffness * sinks @ np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
-    return loads
+    found = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
+    return found[:groups], sinks @ found
+
+
+def _stiffness(obj: ObjectModel, feet: Feet, contact: ContactSettings) -> Float[np.ndarray, "F"]:
+    """Stiffness of every foot [N/m]."""
+    return feet.stiffness * foot_stiffness(obj, contact)
 
 
 def add_feet(
@@ -101,7 +139,7 @@ def soften_feet(model: mujoco.MjModel, obj: ObjectModel, feet: Feet, contact: Co
     """
     d = contact.impedance
     geoms = np.array([model.geom(f"foot_{index}").id for index in range(len(feet.particle))])
-    newtons_per_metre = feet.stiffness * foot_stiffness(obj, contact)
+    newtons_per_metre = _stiffness(obj, feet, contact)
     for index, inverse_mass in enumerate(_inverse_masses(model, geoms, d)):
         stiffness = newtons_per_metre[index] * (1 - d) * inverse_mass / d
         pair = model.pair(f"foot_{index}")

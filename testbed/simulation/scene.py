@@ -15,7 +15,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, STROKE, Grasp, ObjectModel, ObjectShape
-from testbed.simulation.contacts import add_feet, add_fingertip, soften_feet
+from testbed.simulation.contacts import add_feet, add_fingertip, lay_level, soften_feet
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support
 from testbed.worlds.draw import WorldDraw
@@ -281,7 +281,6 @@ def build_scene(
     if draw is not None:
         obj = draw.true_object(nominal)
         feet, spec.option.gravity = draw.feet(obj), draw.gravity
-    spec.geom("top").pos[2] += contact.sag / 2  # a contact lies halfway into the overlap: then at height 0
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
     clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
     if clear and not support.is_rigid:
@@ -296,6 +295,7 @@ def build_scene(
         held = 0 if grasp is None else int(chain.link[obj.shape.pressed(grasp)[0]])
     frames = add_object(spec, obj, support, origin, nominal.shape, held)
     add_feet(spec, obj, frames, contact, feet)
+    lay_level(spec, obj, support, contact, feet, nominal.shape)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
         for finger in ("gripper/left_finger", "gripper/right_finger"):  # opened no further than there is room

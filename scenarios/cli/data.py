@@ -77,7 +77,7 @@ def import_(
     state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
     scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
     useless = all(not log.trajectory.ok or why for log, why in zip(imported, nothing, strict=True))
-    after = "what is said of the trials above" if useless else f"heft estimate {out}{scale}"
+    after = "what is said of the trials above" if useless or 2 * bad > len(imported) else f"heft estimate {out}{scale}"
     if wrong:
         after = f"correct {mapping}, its units and signs too, and import again"
     print(f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {state}; next: {after}")

@@ -18,6 +18,7 @@ from testbed.importers.mapping import LogMap, Mapping
 from testbed.importers.phases import (
     RATE,
     check_sensor_alive,
+    check_stretches,
     common_base,
     phases_from_motion,
     phases_from_windows,
@@ -71,6 +72,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     position[:, 2] -= table.hand.table_height_m
     if table.phases:
         phase, segment = phases_from_windows(table.phases, base - streams.begin_s, table.sensor.zeroed)
+        check_stretches(action, twist, segment)
     else:
         phase, segment = phases_from_motion(action, position[:, 2], twist, table.sensor.zeroed)
     check_sensor_alive(wrench, base[0] + time[np.flatnonzero(segment >= 0)[[0, -1]]], table.sensor.measured)

@@ -35,6 +35,8 @@ STEADY_WITHIN = 0.1
 """Largest deviation of a stretch from the action's speed, as a part of it."""
 PUSHED_WITHIN = 0.5
 """The same of a push, as far as its end: the arm gives way as the fingertip meets the object."""
+_UPRIGHT = 0.9
+"""Least part of a hand's turn that is about the vertical. Ours."""
 STILL = (0.002, np.radians(0.5))
 """Speeds below which the tool is at rest [m/s, rad/s]."""
 ABOVE = 0.01
@@ -226,7 +228,10 @@ def phases_from_motion(
     if action.accelerated:
         raise LogError("phases: those of an accelerated turn are not found from motion; give them as [[phases]]")
     smooth = uniform_filter1d(velocity, round(_SMOOTHING * RATE), axis=0)
-    rate = smooth[:, 5] if action.turns else np.linalg.norm(smooth[:, :2], axis=1)
+    rate = _rate(action, smooth)
+    if action.turns:
+        fast = np.linalg.norm(smooth[:, 3:], axis=1) - abs(action.steady[0].speed)
+        _check_upright(smooth[np.abs(fast) < STEADY_WITHIN * abs(action.steady[0].speed), 3:])
     stretches = _steady(action, rate)
     count, first, last = len(rate), int(stretches[0][0]), int(stretches[-1][-1])
     still = np.linalg.norm(smooth[:, :3], axis=1) < STILL[0]
@@ -255,6 +260,52 @@ def phases_from_motion(
     return phase, segment
 
 
+def check_stretches(action: Action, velocity: Float[np.ndarray, "T 6"], segment: Int[np.ndarray, "T"]) -> None:
+    """Check that mapped stretches of constant speed have the action's speed and sense; of all turns, the axis.
+
+    Args:
+        action: the recorded action.
+        velocity: velocity of the TCP, base axes [m/s, rad/s].
+        segment: steady stretch of every sample, -1 outside.
+
+    Raises:
+        LogError: another speed, sense or axis.
+    """
+    smooth = uniform_filter1d(velocity, round(_SMOOTHING * RATE), axis=0)
+    if action.turns:
+        _check_upright(smooth[segment >= 0, 3:])
+    if action.accelerated or action.pushes:
+        return
+    rate, wanted = _rate(action, smooth), np.array([stretch.speed for stretch in action.steady])
+    seen = np.array([np.median(rate[segment == index]) for index in range(segment.max() + 1)])
+    same = len(seen) == len(wanted)  # there and back, else either one
+    off = seen - wanted if same else np.abs(seen) - np.abs(wanted[0])
+    if (np.abs(off) >= STEADY_WITHIN * np.abs(wanted[0])).any():
+        asked, found = (", ".join(_per_second(float(v), *_unit(action)) for v in each) for each in (wanted, seen))
+        raise LogError(f"phases: the action turns or slides at {asked}; the log at {found}; correct the action's speed")
+
+
+def _check_upright(turning: Float[np.ndarray, "N 3"]) -> None:
+    """Check that the hand turns about the vertical, by its angular velocities while it turns [rad/s], base axes."""
+    mean = np.abs(turning).mean(axis=0) if len(turning) else np.array([0.0, 0.0, 1.0])
+    if mean[2] < _UPRIGHT * np.linalg.norm(mean):
+        given = ", ".join(f"{rate:.3g}" for rate in mean)
+        raise LogError(
+            f"hand: it turns at ({given}) rad/s about the base's x, y and z; allowed: about z, which points up; is the "
+            "order of the quaternion another, or another axis of the base vertical?"
+        )
+
+
+def _rate(action: Action, velocity: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T"]:
+    """Turn rate, or speed of a slide or a push."""
+    return velocity[:, 5] if action.turns else np.linalg.norm(velocity[:, :2], axis=1)
+
+
+def _unit(action: Action) -> tuple[str, float]:
+    """Unit in which a speed is also given, and its factor."""
+    return ("deg/s", 180 / np.pi) if action.turns else ("mm/s", 1e3)
+
+
 def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     """Stretches at the action's speed, in order, each at least half as long as it should be."""
     speed, _, seconds = action.steady[0]
@@ -272,7 +323,7 @@ def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     wanted = [stretch.speed for stretch in action.steady]
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches
-    unit, scale = ("deg/s", 180 / np.pi) if action.turns else ("mm/s", 1e3)
+    unit, scale = _unit(action)
     asked = ", ".join(_speed(w, seconds, unit, scale) for w in wanted)
     seen = [(float(np.median(rate[s])), len(s) / RATE) for s in stretches] or _constant_speeds(rate)
     fastest, none = float(np.abs(rate).max()), "none: its speed is never constant"

@@ -27,6 +27,10 @@ CENTER_ALLOWED = 0.003
 """Allowed distance of a turn's center from where its action has it [m]."""
 CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
 """Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
+CLOSING_EXACT, TCP_EXACT = np.radians(0.1), 1e-4
+"""The same where they are stated as exact."""
+LEAST_SPREAD = 1e-4
+"""Least standard error of a turn's center along an axis [m]: a few turns agree by chance. Ours."""
 HEADING_ALLOWED = np.radians(5.0)
 """Allowed angle between a slide and its direction [rad]."""
 SURE = 3.0
@@ -50,7 +54,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
         for action, windows in turned
     ])  # fmt: skip
-    setup, findings = _stated(steady), []
+    setup, exact, findings = _stated(steady), _exact(steady), []
     held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
     allowed = CENTER_ALLOWED + SURE * held
     kinds = {"stated": named, "mirrored": named * [1, -1]}
@@ -68,7 +72,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     if (left > allowed).sum() > len(left) / 2:  # they have nothing in common
         angle, offset, left = 0.0, np.zeros(2), np.linalg.norm(seen - kinds[kind], axis=1)
     else:
-        findings += _common(angle, offset, spread, named, setup)
+        findings += _common(angle, offset, max(spread, LEAST_SPREAD), named, setup, exact)
     for (action, _), at, miss, most in zip(turned, seen, left, allowed, strict=True):
         if miss > most:
             findings.append(_wrong(shape, action, rotation_2d(-angle) @ (at - offset), miss))
@@ -115,6 +119,12 @@ def _stated(trajectories: Sequence[Trajectory]) -> SetupErrors:
     return replace(largest, **{name: getattr(EXACT_SETUP, name) for name in defaults})
 
 
+def _exact(trajectories: Sequence[Trajectory]) -> set[str]:
+    """Errors of the setup that no trial has, and whose default is not 0."""
+    largest = SetupErrors.largest([t.setup for t in trajectories])
+    return {name for name in PARAMETERS if not getattr(largest, name) and getattr(UNSTATED, name)}
+
+
 def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:
     """Pivot of an action from the hand [m], x along its closing direction; place [m] and direction [rad] as given."""
     place, angle = hand
@@ -155,21 +165,25 @@ def _fit(
     return angle, offset, left, float(np.sqrt((left[good] ** 2).sum() / freedom))
 
 
-def _common(angle: float, offset: np.ndarray, spread: float, named: np.ndarray, setup: SetupErrors) -> list[Finding]:
+def _common(
+    angle: float, offset: np.ndarray, spread: float, named: np.ndarray, setup: SetupErrors, exact: set[str]
+) -> list[Finding]:
     """Findings on what all turns share."""
     lever, count = float(np.sqrt(((named - named.mean(axis=0)) ** 2).sum())), len(named)
     findings = []
     if (named**2).sum() > LEVER**2:
         reach = max(lever, float(np.linalg.norm(named[0])) if count < 3 else lever, 1e-3)
         error, held = spread / reach, [setup.grasp_offset / reach, (count < 3) * setup.tcp_offset / reach]
-        ok = abs(angle) <= CLOSING_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle, *held])
+        allowed = CLOSING_EXACT if {"tcp_angle", "grasp_angle"} <= exact else CLOSING_ALLOWED
+        ok = abs(angle) <= allowed + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle, *held])
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
         off = float(np.degrees(angle))  # about the vertical; the hand's z axis points down
-        text += "" if ok else f": correct closing_deg by {-off:+.0f} (z axis that points up: {off:+.0f})"
+        text += "" if ok else f": correct closing_deg by {-off:+.1f} (z axis that points up: {off:+.1f})"
         findings.append(Finding("closing direction", bool(ok), angle, text))
     if count > 2 or not findings:
         error, far = spread / count**0.5, float(np.linalg.norm(offset))
-        ok = far <= TCP_ALLOWED + SURE * np.linalg.norm([error, setup.tcp_offset, setup.grasp_offset])
+        allowed = TCP_EXACT if {"tcp_offset", "grasp_offset"} <= exact else TCP_ALLOWED
+        ok = far <= allowed + SURE * np.linalg.norm([error, setup.tcp_offset, setup.grasp_offset])
         x, y = 1e3 * offset
         text = f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and left"
         why = f": correct the TCP by ({x:+.1f}, {-y:+.1f}) mm, x as the pads close (z axis that points up: y {y:+.1f})"

@@ -29,6 +29,8 @@ TILT_ALLOWED = np.radians(2.0)
 """Allowed error of the mount about a horizontal axis [rad]."""
 TURN_ALLOWED = np.radians(3.0)
 """Allowed error of the mount about the vertical [rad]."""
+_AGAINST = np.radians(150.0)
+"""Angle between a slide and its force from which a wrong sign is likelier than a wrong rotation [rad]. Ours."""
 LEVER_ALLOWED = 0.003
 """Allowed error of the TCP [m]."""
 BIAS_ALLOWED = 0.1
@@ -161,5 +163,6 @@ def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * aside
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     turn = f"{-np.degrees(angle):+.0f} deg about the vertical, {np.degrees(angle):+.0f} about a z axis that points down"
-    why = "" if ok else f": turn the sensor's rotation by {turn}, or two of its axes are exchanged"
+    against = "sign is the other one; else " if abs(angle) > _AGAINST else ""
+    why = "" if ok else f": {against}turn the sensor's rotation by {turn}, or two of its axes are exchanged"
     return Finding("direction", ok, angle, text + why)

@@ -133,6 +133,21 @@ def test_phases_can_be_given(tmp_path: Path):
         import_csv(tmp_path, original)
 
 
+def test_mapped_stretches_have_the_speed_and_the_sense_of_the_action(turn: Trajectory, tmp_path: Path):
+    path, given = write_csv(tmp_path / "log.csv", turn), phases_of(turn)
+    for factor, error in ((-1.0, "the action turns or slides at"), (1.2, "correct the action's speed")):
+        action = turn.action.to_dict() | {"speed": factor * turn.action.steady[0].speed}
+        assert error in refused(path, mapping_of(turn, phases=given, action=action))
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+def test_a_turn_about_another_axis_than_the_vertical_is_refused(turn: Trajectory, mapped: bool, tmp_path: Path):
+    path = write_csv(tmp_path / "log.csv", turn)
+    mapping = mapping_of(turn, phases=phases_of(turn) if mapped else None)
+    error = refused(path, mapping | {"hand": mapping["hand"] | {"orientation": ["qy", "qz", "qx", "qw"]}})
+    assert "about the base's x, y and z; allowed: about z" in error
+
+
 @pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(100.0, 40.0), (62.5, 100.0), (1000.0, 500.0)])
 def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz: float, hand_hz: float):
     path = write_joined_csv(tmp_path / "log.csv", *at_other_rates(turn, sensor_hz, hand_hz))

@@ -162,8 +162,23 @@ def test_the_closing_direction_is_corrected_by_what_it_is_off(degrees):
     trials = [told_yaw(trial, np.radians(degrees)) for trial in turns()]
     found = wrong_in(trials)
     assert set(found) == {"closing direction"}
-    assert f"correct closing_deg by {degrees:+d} (z axis that points up: {-degrees:+d})" in found["closing direction"]
+    assert (
+        f"correct closing_deg by {degrees:+.1f} (z axis that points up: {-degrees:+.1f})" in found["closing direction"]
+    )
     assert not wrong_in(turns()[:1]) and set(wrong_in(trials[:1])) == {"closing direction"}
+
+
+@pytest.mark.parametrize(("setup", "found"), [(EXACT_SETUP, {"closing direction"}), (UNSTATED, set())])
+def test_a_setup_that_is_stated_as_exact_is_held_to_it(setup: SetupErrors, found: set[str]):
+    trials = [replace(told_yaw(trial, np.radians(0.5)), setup=setup) for trial in turns()]
+    assert set(wrong_in(trials)) == found
+    assert not wrong_in([replace(trial, setup=setup) for trial in turns()])
+
+
+def test_a_force_against_the_motion_is_first_a_wrong_sign():
+    slide = analytic_trial(OBJECT, Slide(0, 0.3))
+    against = replace(slide, wrench_on_object_world=-slide.wrench_on_object_world)
+    assert "off the motion: sign is the other one; else turn" in wrong_in_wrenches(OBJECT.shape, against)["direction"]
 
 
 def test_links_that_trail_pull_aside_and_nothing_is_wrong():

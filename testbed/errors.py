@@ -28,7 +28,8 @@ class InvalidValueError(HeftError, ValueError):
     def __init__(self, field: str, given: object, allowed: str, file: Path | str | None = None):
         self.field, self.given, self.allowed, self.file = field, given, allowed, file
         where = f"{file}: " if file is not None else ""
-        super().__init__(f"{where}{short(field, str)}: got {short(given)}; allowed: {allowed}")
+        shown = str(given) if isinstance(given, Path) else given
+        super().__init__(f"{where}{short(field, str)}: got {short(shown)}; allowed: {allowed}")
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, object, str, Path | str | None]]:
         """Arguments with which another process builds it again: an exception keeps its message alone."""

@@ -53,9 +53,7 @@ def doctor(
 
     check_results(folder)
     if not (every := load_rows(folder)):
-        raise InvalidValueError(
-            "DIR", str(folder), "a results folder with estimates: heft run, heft touch or heft estimate"
-        )
+        raise InvalidValueError("DIR", folder, "a results folder with estimates: heft run, heft touch or heft estimate")
     rows = [row for row in every if row.get("trial_keys") is not None and row["seed"] == draw]
     known = list(dict.fromkeys(str(row["object"]) for row in rows))
     for name in objects:
@@ -78,7 +76,11 @@ def doctor(
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
     if not asked:
-        raise InvalidValueError("--draw", draw, "a draw that the folder has estimates of")
+        draws = sorted({int(row["seed"]) for row in every if row.get("trial_keys") is not None})
+        allowed = f"a draw that the folder has estimates of: {', '.join(map(str, draws))}"
+        if draws:
+            raise InvalidValueError("--draw", draw, allowed)
+        raise InvalidValueError("DIR", folder, f"a folder with an answer; it has none (heft status {folder})")
 
 
 def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[str], Diagnosis | str]:

@@ -61,6 +61,8 @@ def export(
     from scenarios.results.files import check_results
 
     check_results(folder)
+    if out is not None and out.suffix != f".{_ENDING[format_]}":
+        raise InvalidValueError("--out", out, f"a file that ends in .{_ENDING[format_]}, for --format {format_}")
     if format_ == "mcap":
         for name, given in (("--inertial", inertial), ("--scene", scene), ("--draws", draws), ("--models", models)):
             if given:
@@ -129,8 +131,10 @@ def payload(
 
     if source.is_dir():
         found = _lifted(source, name, with_tool=with_tool)
+    elif not source.exists():
+        raise InvalidValueError("DIR|FILE.toml", source, "a folder with lifts, or a file of heft calibrate")
     elif with_tool or name is not None:
-        raise InvalidValueError("FILE.toml", str(source), "a folder with lifts: OBJECT and --with-tool are of lifts")
+        raise InvalidValueError("FILE.toml", source, "a folder with lifts: OBJECT and --with-tool are of lifts")
     else:
         found = Payload.of_poses(load_calibration(source))
     found = found.on_flange(rotation_z(math.radians(flange[3])), np.array(flange[:3]))
@@ -158,7 +162,7 @@ def _lifted(folder: Path, name: str | None, *, with_tool: bool) -> Payload:
     records = [read_trial(folder, key) for key in keys_of(folder) if kind_of_trial(folder, key) == "lift"]
     names = list(dict.fromkeys(record.object.name for record in records))
     if not names:
-        raise InvalidValueError("DIR", str(folder), "a folder with lifts; a [policy] with lifts makes some")
+        raise InvalidValueError("DIR", folder, "a folder with lifts; a [policy] with lifts makes some")
     if (name is None and len(names) > 1) or name not in (None, *names):
         raise InvalidValueError("OBJECT", name, f"one of {', '.join(names)}{nearest(name or '', names)}")
     chosen = [record for record in records if record.object.name == (name or names[0])]

@@ -34,7 +34,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
     """
     table = load_toml(mapping, Mapping)
     if table.logs or not logs:
-        raise InvalidValueError("--find", str(mapping), "a mapping without [[logs]], and the recordings after it")
+        raise InvalidValueError("--find", mapping, "a mapping without [[logs]], and the recordings after it")
     console, text, known = open_console(), mapping.read_text(encoding="utf-8").rstrip() + "\n", True
     failed: list[HeftError] = []
     for log in logs:

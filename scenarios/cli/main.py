@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -64,7 +65,7 @@ ABOUT = "What can a robot learn about an object's mass distribution from the wre
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: 0 done, 1 done but some trials or estimates failed, 2 a wrong argument or file, 130 interrupted."""
+    """Entry point: 0 done, 1 some trials or estimates failed, 2 a wrong argument or file, 130 or 143 stopped."""
     arguments = sys.argv[1:] if arguments is None else arguments
     print_damage_plainly()
     if hidden := hidden_package():
@@ -97,15 +98,24 @@ def main(arguments: list[str] | None = None) -> None:
         place = f": {error.filename}" if error.filename else ""
         print(f"heft: {error.strerror or error}{place}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         print("heft: stopped; run the same command again to continue", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(143 if isinstance(stop, _Terminated) else 130)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as Ctrl-C does."""
+
+
+def _terminate(*_: object) -> None:
+    raise _Terminated
 
 
 def command() -> None:
     """Console command: `main`, ended though a plug-in leaves threads behind."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # problems are small: threads take longer than they save
     code: Any = 0
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         main()
     except SystemExit as end:

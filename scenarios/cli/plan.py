@@ -15,6 +15,7 @@ from rich.text import Text
 
 from scenarios.cli.terminal import default_hint, open_console, open_table, percent, seconds
 from testbed.errors import InvalidValueError
+from testbed.validation import Range, check_integer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -130,17 +131,16 @@ def actions_of(
     from testbed.actions.lift import Lift
     from testbed.actions.slide import Slide
     from testbed.actions.weigh import Weigh
-    from testbed.validation import Range, check_integer
 
     shape, allowed = model.shape, named_grasps(model, grasps)
-    for name, count in (("pivots", pivots), ("accelerated", accelerated), ("slides", slides), ("pushes", pushes)):
-        check_integer(name, count, least=0)
+    counts = {"pivots": pivots, "accelerated": accelerated, "slides": slides, "lifts": lifts, "pushes": pushes}
+    for name, count in counts.items():
+        check_integer(f"--{name}", count, least=0)
     if pushes and shape.chain is not None:
-        raise InvalidValueError("pushes", pushes, "0: an object with hinges is not pushed")
-    check_integer("lifts", lifts, least=0)
+        raise InvalidValueError("--pushes", pushes, "0: an object with hinges is not pushed")
     if lifts and support != "rigid":
-        raise InvalidValueError("lifts", lifts, "0 unless the support is rigid: one block alone would come along")
-    Range(1.5, 60, "s").check("duration", duration)
+        raise InvalidValueError("--lifts", lifts, "0 unless the support is rigid: one block alone would come along")
+    Range(1.5, 60, "s").check("--duration", duration)
     if shape.chain is not None:
         drags = random_drags(shape, allowed, 2 * max(pivots, slides), 0)  # every other one is a turn
         return [Weigh(), *drags[1::2][:pivots], *drags[::2][:slides]]
@@ -202,10 +202,12 @@ class Search:
         """Condition on which the search ends.
 
         Raises:
-            InvalidValueError: no percentage, or no time.
+            InvalidValueError: no percentage, no time, or a number that is not allowed.
         """
         from estimators.action_selection.plan import Goal
 
+        for name, least in (("most", 1), ("candidates", 1), ("seed", 0)):
+            check_integer(f"--{name}", getattr(self, name), least=least)
         return Goal(percent(self.until, "--until"), seconds(self.budget, "--budget"), self.most)
 
     def family(self, support: str) -> ActionFamily:
@@ -218,8 +220,8 @@ class Search:
         from estimators.action_selection.design import ASSUMED_SUPPORTS
 
         if self.lifts and "rigid" not in ASSUMED_SUPPORTS[support]:
-            allowed = "no lifts with own_weight: only the gripped block would come along"
-            raise InvalidValueError("lifts", self.lifts, f"{allowed}; lift under support rigid or either")
+            allowed = "rigid or either with --lifts: of own_weight only the gripped block would come along"
+            raise InvalidValueError("--assumed-support", support, allowed)
         return ActionFamily(lifts=self.lifts, pushes=self.pushes)
 
 
@@ -271,6 +273,9 @@ def plan(
 
     if weight is not None:
         check_kilograms("--weight", weight)
+    Range(0.01, 2.0, "").check("--friction", friction)
+    if record is not None and record.suffix != ".rrd":
+        raise InvalidValueError("--record", record, "a file that ends in .rrd")
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
     carrier, goal = carrier_of(model, search.assumed_support), search.goal
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated
@@ -303,7 +308,7 @@ def carrier_of(model: ObjectModel, assumed_support: str | None) -> str:
 
     support = assumed_support or support_of(model.shape).name
     if model.shape.chain is not None and support != "own_weight":
-        raise InvalidValueError("support", support, "own_weight: links rest on their own weight")
+        raise InvalidValueError("--assumed-support", support, "own_weight: links rest on their own weight")
     return support
 
 
@@ -325,7 +330,7 @@ def named_grasps(model: ObjectModel, names: tuple[str, ...] | None) -> tuple[int
     known = [grasp.name for grasp in model.shape.grasps]
     names = tuple(known) if names is None else names
     if unknown := sorted(set(names) - set(known)):
-        raise InvalidValueError("grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(known)}")
+        raise InvalidValueError("--grasps", ", ".join(unknown), f"grasps of {model.name}: {', '.join(known)}")
     return tuple(known.index(name) for name in names)
 
 

@@ -279,7 +279,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
     if not (folder / "manifest.json").is_file():
         allowed = "a folder with a manifest.json, as `heft run` and `heft estimate` make it"
-        raise InvalidValueError("DIR", str(folder), allowed)
+        raise InvalidValueError("DIR", folder, allowed)
     manifest = unless_damaged(lambda: read_manifest(folder), "rewritten by the same command") or {}
     expected, failed, counts = manifest.get("expected") or {}, [], []
     for stage, file in STAGES.items():

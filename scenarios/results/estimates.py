@@ -46,9 +46,9 @@ import pandas as pd
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.files import STAGES, check_unambiguous, inside, read_json, stored
+from scenarios.results.files import STAGES, check_unambiguous, inside, read_json, some_keys, stored
 from scenarios.results.store import Store
-from scenarios.results.table import rows_of
+from scenarios.results.table import has_files, rows_of
 from testbed.errors import HeftError, InvalidValueError, short
 from testbed.files import MOST_BYTES, DamagedFileError, load_sealed, read_table, unless_damaged
 from testbed.objects.model import MassDistribution
@@ -125,7 +125,8 @@ def row_of(folder: Path, beginning: str) -> Row:
     found = [row for row in load_rows(folder) if str(row.get("key") or "").startswith(beginning)]
     check_unambiguous("ESTIMATE", beginning, [str(row["key"]) for row in found])
     if not found:
-        allowed = f"the beginning of an estimate's key in {folder}/estimates"
+        there = some_keys([str(row["key"]) for row in load_rows(folder) if row.get("key")])
+        allowed = f"the beginning of an estimate's key in {folder}: {there or 'none is there'}"
         raise InvalidValueError("ESTIMATE", beginning, allowed)
     return found[0]
 
@@ -224,7 +225,7 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
     """Losses, (I,) each, by method and optimizer; of methods with many estimates an even choice."""
     keys: dict[str, list[str]] = {}
     for row in rows:
-        if row.get("key") and row["status"] != "failed":
+        if has_files(row):
             keys.setdefault(row["method"], []).append(row["key"])
     losses: dict[str, dict[str, list[np.ndarray]]] = {}
     for method, of_method in keys.items():

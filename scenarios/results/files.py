@@ -130,11 +130,16 @@ def plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def some_keys(keys: Sequence[str]) -> str:
+    """Beginnings of the first keys, for a message."""
+    return ", ".join(key[:SHOWN] for key in keys[:MOST_KEYS]) + (", ..." if len(keys) > MOST_KEYS else "")
+
+
 def check_unambiguous(field: str, beginning: str, keys: Sequence[str]) -> None:
     """Raise InvalidValueError where more than one key has a beginning; `field` is what the command line calls it."""
     if len(keys) > 1:
-        few = ", ".join(key[:SHOWN] for key in keys[:MOST_KEYS]) + (", ..." if len(keys) > MOST_KEYS else "")
-        raise InvalidValueError(field, beginning, f"more of the key, this is ambiguous: {len(keys)} begin so ({few})")
+        several = f"{len(keys)} begin so ({some_keys(keys)})"
+        raise InvalidValueError(field, beginning, f"more of the key, this is ambiguous: {several}")
 
 
 @contextmanager

@@ -21,6 +21,11 @@ _NO_FILES = ("failed", "infeasible")
 """Statuses of rows without an estimate's files."""
 
 
+def has_files(row: Mapping[str, Any]) -> bool:
+    """True if a row has an estimate's files: the method came to an end."""
+    return bool(row.get("key")) and row.get("status") not in _NO_FILES
+
+
 class ResultTable:
     """Table of a results folder, in the order of its rows' places."""
 

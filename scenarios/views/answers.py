@@ -14,6 +14,7 @@ from estimators.base import Estimate
 from estimators.evaluation.statistics import Row
 from estimators.posterior.support import DECISIVE, EVIDENCE, SupportTest
 from scenarios.results.estimates import load_estimate
+from scenarios.results.table import has_files
 from scenarios.views.values import estimate_view
 from testbed.files import write_text, write_whole
 from viz.report.answers import Answer, answer_fields, answer_rows
@@ -27,7 +28,7 @@ def answers_of(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
     """
     groups: dict[tuple[Any, Any], list[Answer]] = {}
     for row in rows:
-        if row.get("key"):
+        if has_files(row):
             groups.setdefault((row["object"], row["support"]), []).append(_answer(folder, row))
     return list(groups.values())
 

@@ -17,6 +17,7 @@ from estimators.identifiability.information import SUPPORTS
 from estimators.particles.misfit import UNEXPLAINED
 from scenarios.results.estimates import load_estimate
 from scenarios.results.store import Store
+from scenarios.results.table import has_files
 from scenarios.results.trials import sensed_trials
 from scenarios.views.weight_check import check_weight
 from testbed.objects.model import ObjectShape
@@ -48,7 +49,7 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
         HeftError: a file of the folder is damaged.
     """
     of = (answer.object, answer.support, answer.method)
-    row = next(row for row in rows if row.get("key") and (row["object"], row["support"], row["method"]) == of)
+    row = next(row for row in rows if has_files(row) and (row["object"], row["support"], row["method"]) == of)
     found = load_estimate(folder, row["key"])
     if not answer.shape.grasps:
         return "next: nothing: the object has no grasp, so no turn can be planned"
@@ -66,8 +67,8 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     if decision.action is None or (decision.answered and decision.nad < ENOUGH):
         if decision.answered and all(trial.setup.none for trial in trials):
             return (
-                f"next: {sure}, if contacts, friction, grasps, arm and sensor are exact. The mapping states no errors "
-                f'of them: [setup] preset = "lab" has those of a usual lab{noted}'
+                f"next: {sure}, if contacts, friction, grasps, arm and sensor are exact, as the trials state them: "
+                f'[setup] preset = "lab" has the errors of a usual lab{noted}'
             )
         return f"next: nothing more is needed: {sure}{noted}" if decision.answered else f"next: {decision.why}"
     error = decision.standard_error

@@ -14,6 +14,7 @@ from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
 from scenarios.results.files import check_results, check_unambiguous, inside
 from scenarios.results.store import Store
+from scenarios.results.table import has_files
 from scenarios.results.trials import kind_of_trial
 from scenarios.study.experiment import Progress
 from scenarios.views.values import estimate_view, fits_of, recorded_view, settings_of, trial_view, typical_trial
@@ -172,7 +173,7 @@ def record_results(folder: Path) -> Path:
 def record_worst(folder: Path, rows: Sequence[Row]) -> None:
     """Record the estimates that the report names as the worst, without the robot: the report has links to them."""
     for row in itertools.chain(*worst_of(rows)):
-        if row.get("key") and row.get("trial_keys") is not None:
+        if has_files(row) and row.get("trial_keys") is not None:
             path = recording_path(folder, row["key"])
             if not path.is_file():
                 save(estimate_page(folder, row["key"], light=True), path)

@@ -16,6 +16,7 @@ from estimators.particles.wrench import predicted_wrenches
 from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
+from scenarios.results.table import has_files
 from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import FootForces, load_foot_forces
@@ -258,7 +259,7 @@ def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
     axes = axes_of(rows)
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        if row.get("key") and row.get("trial_keys") is not None:
+        if has_files(row) and row.get("trial_keys") is not None:
             groups.setdefault((row["support"], row["sensing"], *(row.get(axis) for axis in axes)), []).append(row)
     named = []
     for (support, sensing, *values), found in groups.items():

@@ -74,16 +74,17 @@ def test_a_killed_run_goes_on(longer, tmp_path, victim):
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(finished, tmp_path):
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "SIGTERM"])
+def test_a_stopped_run_leaves_whole_files_and_the_next_one_goes_on(finished, tmp_path, sent, code):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "heft", "run", str(finished.scenario), "--out", str(out), "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 60
     while not list(out.glob("trials/*/trial.json")) and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, sent)
     _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130, stderr
+    assert process.returncode == code, stderr
     assert b"run the same command again to continue" in stderr and b"Traceback" not in stderr
     assert_whole(out)
     assert not list(out.rglob("*.part"))

@@ -65,10 +65,24 @@ def test_a_plan_is_told_and_drawn(words, parts, drawn, tmp_path, monkeypatch, ca
     assert drawn in read_chunks(tmp_path / "plan.rrd")
 
 
-def test_lifts_are_refused_on_own_weight(capsys):
+@pytest.mark.parametrize(
+    ("words", "refused"),
+    [
+        ("plan L2 --lifts", "--assumed-support: got 'own_weight'; allowed: rigid or either with --lifts"),
+        ("plan L2 --seed -1", "--seed: got -1; allowed: an integer >= 0"),
+        ("plan L2 --candidates 0", "--candidates: got 0; allowed: an integer >= 1"),
+        ("plan L2 --friction 5", "--friction: got 5.0; allowed: 0.01 to 2"),
+        ("plan L2 --grasps Z9", "--grasps: got 'Z9'; allowed: grasps of L2: B1"),
+        ("plan L2 --record plan.txt", "--record: got 'plan.txt'; allowed: a file that ends in .rrd"),
+        ("touch L2 --most 0", "--most: got 0; allowed: an integer >= 1"),
+        ("identify L2 --pivots -1", "--pivots: got -1; allowed: an integer >= 0"),
+        ("payload nothing_here drill", "DIR|FILE.toml: got 'nothing_here'; allowed: a folder with lifts, or a file"),
+    ],
+)
+def test_what_an_option_does_not_allow_is_refused_by_its_name(words, refused, capsys):
     with pytest.raises(SystemExit, match="2"):
-        main(["plan", "L2", "--lifts"])
-    assert "lift under support rigid or either" in capsys.readouterr().err
+        main(words.split())
+    assert refused in capsys.readouterr().err
 
 
 @pytest.mark.slow

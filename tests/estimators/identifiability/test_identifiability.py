@@ -249,7 +249,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     ),
     (lambda: Assumptions("floating"), "own_weight, rigid"),
     *(
-        (partial(actions_of, L2, **{option: -1}), rf"^{option}: got -1; allowed: an integer >= 0")
+        (partial(actions_of, L2, **{option: -1}), rf"^--{option}: got -1; allowed: an integer >= 0")
         for option in ("pivots", "accelerated", "slides", "pushes")
     ),
     (lambda: actions_of(L2, grasps=("nose",)), "grasps of L2: "),

@@ -278,6 +278,20 @@ def test_no_method_is_ok_with_masses_that_do_not_explain_the_trials(weighed: Pat
     assert [entry["status"] for entry in written] == ["ok", *["unexplained"] * 3]
 
 
+def test_a_method_that_fails_leaves_the_others_their_answers(weighed: Path, capsys: pytest.CaptureFixture[str]):
+    (weighed / "broken.py").write_text(
+        "class Broken:\n    def estimate(self, *asked):\n        raise RuntimeError('boom')\n",
+        encoding="utf-8",
+    )
+    assert ended("estimate", "lab", "--methods", "broken:Broken", "hidden_states", "--workers", "0") == 1
+    said = capsys.readouterr().out
+    assert "L2 by hidden_states: mass of each block" in said
+    assert "L2, own_weight, broken:Broken: failed: RuntimeError: boom (broken.py, line 3)" in said
+    assert {entry["method"] for entry in json.loads(Path("lab/masses.json").read_text(encoding="utf-8"))} == {
+        "hidden_states"
+    }
+
+
 def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab: Path, records: list[Trajectory]):
     """For an object of one's own, of a log without joints too."""
     blocks = 'layout = ["1", "1", "1", "111"]\nmass_kg = [0.4, 0.1, 0.1, 0.4, 0.4, 0.4]'

@@ -13,6 +13,8 @@ UNEXPLAINED = 3.0
 """Misfit from which an answer does not explain the trials, where it is no chance: the status `unexplained` of every
 method. Ours: three times the stated variance is more than calibration leaves, and a wrong support, sign or grasp gives
 ten and more."""
+SAME_INERTIA = 0.02
+"""Part by which the inertia that trials show may differ from that of the masses, below which no weight is in doubt."""
 NEXT = (
     "support_aware tests whether the groups rest on their own weight at all; heft doctor looks for a trial or an error "
     "of the setup that explains it"
@@ -67,6 +69,8 @@ class Misfit:
         begin = f"the masses do not explain the trials: misfit {size} in place of 1"
         if self.least is not None and self.least <= UNEXPLAINED:
             return f"{begin}, which others do (misfit {self.least:.2g}): the search ended early"
+        if self.inertia is not None and abs(self.inertia - 1) < SAME_INERTIA:
+            return f"{begin}; accelerated turns show inertia of another distribution than these masses have; {NEXT}"
         if self.inertia is not None:
             found = f"accelerated turns show {100 * self.inertia:.0f} % of the inertia that these masses have"
             checks = "weigh the object again, check the torque's unit and the object's size, or ask support_aware"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from scenarios.cli.terminal import open_console
 from testbed.errors import InvalidValueError
 
 if TYPE_CHECKING:
+    from estimators.evaluation.statistics import Row
     from scenarios.results.logs import ImportedLog
     from testbed.trajectory import Trajectory
 
@@ -167,6 +169,22 @@ def _shows_nothing(trajectory: Trajectory) -> str:
     return ""
 
 
+def _trials_named(folder: Path, row: Row, message: str) -> list[str]:
+    """Trials that a message names by their numbers, in words."""
+    from scenarios.results.store import Store
+    from scenarios.results.table import has_files
+    from scenarios.results.trials import sensed_trials, trials_in_words
+    from scenarios.views.values import estimate_view
+
+    numbers = sorted({int(number) for number in re.findall(r"trial (\d+)", message)})
+    if not (numbers and has_files(row)):
+        return []
+    shape, keys = estimate_view(folder, row).shape, tuple(row["trial_keys"])
+    trials = sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"]))
+    words = trials_in_words(folder, shape, keys[1:], trials[1:])
+    return [words[number - 1] for number in numbers if number <= len(words)]
+
+
 def estimate(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
     *,
@@ -235,7 +253,9 @@ def estimate(
         print(f"report: {report(folder)}; heft view {folder} shows the maps")
     bad = [row for row in done.rows if row["status"] != "ok"]
     for row in bad:
-        line = f"{row['object']}, {row['support']}, {row['method']}: {row['status']}: {row.get('message') or ''}"
-        print(line)
+        message = row.get("message") or ""
+        print(f"{row['object']}, {row['support']}, {row['method']}: {row['status']}: {message}")
+        for words in _trials_named(folder, row, message):
+            print(f"  trial {words}")
     if any(row.get("mass_kg") is None and row["status"] not in NO_MASSES for row in bad):
         sys.exit(1)

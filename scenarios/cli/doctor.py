@@ -87,7 +87,7 @@ def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[st
     """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
     from estimators.posterior.diagnosis import diagnose
     from scenarios.results.store import Store
-    from scenarios.results.trials import log_of_trial, sensed_trials
+    from scenarios.results.trials import sensed_trials, trials_in_words
     from scenarios.views.values import estimate_view
     from testbed.robot.calibration.motion import wrong_motion
     from testbed.sensing.windows import weight_of
@@ -95,10 +95,7 @@ def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[st
     shape, keys = estimate_view(folder, row).shape, tuple(row["trial_keys"])
     weighing, *moved = sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"]))
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
-    words = [
-        ", ".join([f"{i}: {trial.action.describe(shape)}", *log_of_trial(folder, key)])
-        for i, (trial, key) in enumerate(zip(moved, keys[1:], strict=True), start=1)
-    ]
+    words = trials_in_words(folder, shape, keys[1:], moved)
     if wrong := wrong_motion(shape, moved):
         return title, words, "; ".join(["the trials are not what their actions say", *wrong])
     return title, words, diagnose(shape, weight_of(weighing), moved, partial(progress, "fits")) or NOTHING

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.results.files import check_unambiguous, inside, read_json
+from scenarios.results.files import check_unambiguous, inside, read_json, some_keys
 from scenarios.results.store import Store, object_request
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
@@ -25,8 +25,6 @@ from testbed.trajectory import Trajectory, load_trajectory
 from testbed.trial import Support, parse_support
 from testbed.worlds.seeds import seed_of
 
-_MOST_NAMED = 6
-"""Keys that an error lists."""
 OTHER_FORMAT = (KeyError, IndexError, TypeError, ValueError, AttributeError)
 """Errors of reading a trial.json of another format."""
 _SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill", "feet")
@@ -134,10 +132,8 @@ def _folder_of(root: Path, beginning: str) -> Path:
     if len(found) == 1:
         return root / "trials" / found[0]
     check_unambiguous("TRIAL", beginning, found)
-    named = ", ".join(key[:8] for key in keys[:_MOST_NAMED]) + (", ..." if len(keys) > _MOST_NAMED else "")
-    raise InvalidValueError(
-        "TRIAL", beginning, f"the beginning of one trial's key in {root / 'trials'}: {named or 'none'}"
-    )
+    named = some_keys(keys) or "none"
+    raise InvalidValueError("TRIAL", beginning, f"the beginning of one trial's key in {root / 'trials'}: {named}")
 
 
 def kind_of_trial(root: Path, key: str) -> str:
@@ -160,6 +156,12 @@ def log_of_trial(root: Path, key: str) -> list[str]:
     """
     source = _asked(root, key).get("import", {})
     return [source[name] for name in ("log", "stretch") if name in source]
+
+
+def trials_in_words(root: Path, shape: ObjectShape, keys: Sequence[str], trials: Sequence[Trajectory]) -> list[str]:
+    """Number, action and log of every trial after the weighing, numbered as the messages of estimates number them."""
+    each = enumerate(zip(trials, keys, strict=True), start=1)
+    return [", ".join([f"{i}: {trial.action.describe(shape)}", *log_of_trial(root, key)]) for i, (trial, key) in each]
 
 
 def _asked(root: Path, key: str) -> dict[str, Any]:

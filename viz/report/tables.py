@@ -172,7 +172,8 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
             _over_draws(of[name][method], draws[name][method], metric, best=best[name] == method) for name in objects
         ]
         lines.append(((method,), tuple(cells)))
-        if published := metric.paper.get(method):
+        published = metric.paper.get(method, {})
+        if published.keys() & set(objects):
             figures = (f"{published[name]:.1f}" if name in published else "" for name in objects)
             lines.append(((PAPER,), tuple(map(Entry, figures))))
     if metric.reference and methods:

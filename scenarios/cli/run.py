@@ -134,9 +134,10 @@ def run(
         if record:
             with show_progress() as progress:
                 record_all(folder, progress)
-        written = list(write_views(folder, results, tasks, recording=not _many(results)))
-    good = say_failures(folder, results)
-    print(*(line for line in written if not line.startswith("figure: ")), sep="\n")
+        good = say_failures(folder, results)
+        for line in write_views(folder, results, tasks, recording=not _many(results)):
+            if not line.startswith("figure: "):
+                print(line, flush=True)
     amiss = tally(row["status"] for row in results)
     reasons = f" ({amiss}: report.html has the reasons)" if amiss else ""
     print(f"{len(results)} estimates in {time.monotonic() - begin:.0f} s{reasons}; results in {folder}/")

@@ -63,7 +63,8 @@ class Action:
     in_air: ClassVar[bool] = False
     """True if the object leaves the table."""
     turns: ClassVar[bool] = False
-    """True if the object turns about a vertical axis on the table."""
+    """True if the object turns about a vertical axis through `center` on the table, as predictions and checks of logs
+    take it; one that does not is pulled straight along `heading`."""
     accelerated: ClassVar[bool] = False
     """True if the steady stretches on the table are at constant acceleration, False if at constant speed."""
 

@@ -6,6 +6,7 @@ import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
 from testbed.importers.logs import factor
@@ -129,11 +130,17 @@ class HandMap(PoseMap):
     """The [hand] table."""
 
     urdf: Text | None = None
+    base_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
     tcp_in_hand_m: Vector = [0.0, 0.0, 0.0]
     closing_deg: Finite = 0.0
     table_height_m: Finite = 0.0
     stroke_m: Side = ROBOTIQ_2F85.stroke
     finger_width_m: Side = ROBOTIQ_2F85.finger_width
+
+    @property
+    def upright(self) -> Rotation:
+        """Orientation of the base frame in axes with z up."""
+        return Rotation.from_quat(self.base_wxyz, scalar_first=True)
 
     @property
     def size(self) -> Hand:

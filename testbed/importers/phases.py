@@ -291,8 +291,8 @@ def _check_upright(turning: Float[np.ndarray, "N 3"]) -> None:
     if mean[2] < _UPRIGHT * np.linalg.norm(mean):
         given = ", ".join(f"{rate:.3g}" for rate in mean)
         raise LogError(
-            f"hand: it turns at ({given}) rad/s about the base's x, y and z; allowed: about z, which points up; is the "
-            "order of the quaternion another, or another axis of the base vertical?"
+            f"hand: it turns at ({given}) rad/s about x, y and z; allowed: about z, which points up; is the order of "
+            "the quaternion another, or another axis of the base vertical (hand.base_wxyz)?"
         )
 
 

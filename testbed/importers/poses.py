@@ -39,7 +39,7 @@ _LYING = 20.0
 
 
 def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
-    """Pose of the hand, arm's base frame.
+    """Pose of the hand, arm's base frame turned upright.
 
     Args:
         log: where it is.
@@ -51,9 +51,10 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         InvalidValueError: no such topic, column, frame, link or joint; or nothing says where the pose is.
         LogError: values that are no pose.
     """
-    if isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE:
-        return without_frozen(_from_joints(log, hand, time, folder))
-    return without_frozen(_pose(log, "hand", hand, time))
+    by_joints = isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE
+    found = _from_joints(log, hand, time, folder) if by_joints else _pose(log, "hand", hand, time)
+    series, turned = without_frozen(found)
+    return series._replace(values=hand.upright.apply(series.values)), hand.upright * turned
 
 
 def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:

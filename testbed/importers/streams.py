@@ -60,11 +60,11 @@ class Streams:
             lambda: read_wrench(other, table.sensor, table.time),
             lambda: hand_pose(source, table.hand, table.time, folder),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
-            lambda: _velocity(source, table.velocity, table.time) if table.velocity else None,
+            lambda: _velocity(source, table.velocity, table.time, table.hand) if table.velocity else None,
             lambda: _seen(source, table, folder),
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
-        wrench = in_sensor_axes(wrench, pose, table.sensor)
+        wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
         if table.sensor.torque_about == "tcp":
             lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
             wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
@@ -192,12 +192,12 @@ def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> tuple[Series, str
     return without_faults(Series(stamps, values * units))
 
 
-def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap) -> Series:
+def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap, hand: HandMap) -> Series:
     """Wrench by the axes of the sensor, of one that may be by those of the arm's base, as a UR reports it."""
     if sensor.axes == "sensor":
         return wrench
     mount = Rotation.from_quat(sensor.in_hand_wxyz, scalar_first=True)
-    back = (resampled_rotation(pose[0].time_s, pose[1], wrench.time_s) * mount).inv()
+    back = (resampled_rotation(pose[0].time_s, pose[1], wrench.time_s) * mount).inv() * hand.upright
     return wrench._replace(
         values=np.hstack([back.apply(part) for part in (wrench.values[:, :3], wrench.values[:, 3:])])
     )
@@ -228,12 +228,13 @@ def _joints(log: Log, joints: JointMap, time: TimeMap) -> Series:
     return Series(stamps, np.unwrap(values * factor("angle", joints.unit), axis=0))
 
 
-def _velocity(log: Log, velocity: VelocityMap, time: TimeMap) -> Series:
-    """Velocity of the TCP, base axes [m/s, rad/s], shape (N, 6)."""
+def _velocity(log: Log, velocity: VelocityMap, time: TimeMap, hand: HandMap) -> Series:
+    """Velocity of the TCP, axes of the base turned upright [m/s, rad/s], shape (N, 6)."""
     names = [*velocity.linear, *velocity.angular]
     stamps, values = log.series("velocity.linear, velocity.angular", names, velocity.topic, time)
     units = [factor("speed", velocity.linear_unit), factor("turn rate", velocity.angular_unit)]
-    return Series(stamps, values * np.repeat(units, 3))
+    linear, angular = np.split(values * np.repeat(units, 3), 2, axis=1)
+    return Series(stamps, np.hstack([hand.upright.apply(linear), hand.upright.apply(angular)]))
 
 
 def differentiated(position: np.ndarray, hand: Rotation) -> np.ndarray:

@@ -62,7 +62,7 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     )
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
     check_sensor_alive(wrench, wrench.time_s[[0, 0]], table.sensor.measured)
-    wrench = in_sensor_axes(wrench, pose, table.sensor)
+    wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
     if table.rows == "poses":
         return _of_rows(wrench, pose, table.gravity), left_out
     every = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))

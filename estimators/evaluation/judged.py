@@ -14,6 +14,7 @@ from jaxtyping import Float
 from estimators.base import Estimate
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
+from estimators.posterior.posterior import loose_groups
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, JoinedSupport, SupportModel
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -36,9 +37,10 @@ MANY = 1_000_000
 def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]) -> Estimate:
     """The answer with its misfit, and another status than `ok` where its masses are not known or explain no trials.
 
-    `underdetermined` where its own covariance leaves a group open, `unexplained` where the misfit is too large. A
-    misfit that the method itself states counts: it may know of more than masses and friction. Otherwise it is computed
-    on the support that `assumes` names, or on the one that fits better. Any other status stays.
+    `underdetermined` where its own covariance hardly tells a group from none (`loose_groups`), `unexplained` where the
+    misfit is too large. A misfit that the method itself states counts: it may know of more than masses and friction.
+    Otherwise it is computed on the support that `assumes` names, or on the one that fits better. Any other status
+    stays.
 
     Args:
         answer: answer of a method.
@@ -65,22 +67,13 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         return _said(replace(answer, status=found.status), found.reason)
     if weight and (why := _beside_the_weight(answer, shape, weight, trajectories)):
         return _said(replace(answer, status="unexplained"), why)
-    open_ = _left_open(answer, shape, weight or float(shape.particles_per_group @ at.mass))
-    return _said(replace(answer, status="underdetermined"), open_) if open_ else answer
+    loose = [] if answer.covariance is None else loose_groups(shape, at.mass, answer.covariance)
+    return _said(replace(answer, status="underdetermined"), f"hardly known: {', '.join(loose)}") if loose else answer
 
 
 def _said(answer: Estimate, why: str) -> Estimate:
     """The answer with one more sentence."""
     return replace(answer, message="; ".join(filter(None, [answer.message, why])))
-
-
-def _left_open(answer: Estimate, shape: ObjectShape, whole: float) -> str:
-    """Groups whose mass an answer's own covariance leaves open between nothing and all of the object's, in words."""
-    if (error := answer.group_error(shape)) is None:
-        return ""
-    names = [name for name, one in zip(shape.group_names, error, strict=True) if one > whole]
-    errors = f"errors up to {error.max():.3g} kg"
-    return f"its covariance leaves open the mass of {', '.join(names)}: {errors}" if names else ""
 
 
 def _beside_the_weight(answer: Estimate, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> str:

@@ -48,7 +48,8 @@ def lay_level(
     """Let the object lie level at rest, each foot as deep in the foundation as its load takes.
 
     A contact of MuJoCo's acts halfway between the surfaces, which would be lower under a heavy group than under a light
-    one. So the foundation begins above the table by as much as a foot sinks at rest, and the foot stays on the table.
+    one. So the foundation begins above the table by as much as a foot sinks at rest, and the foot stays on the table;
+    under links, which turn and share a tilt, by as much as the group does.
 
     Args:
         spec: scene with feet, and with springs between groups.
@@ -59,6 +60,9 @@ def lay_level(
         joined: shape whose groups touch where springs join them.
     """
     height, sink = _at_rest(obj, support, contact, feet, joined)
+    if obj.shape.chain is not None:
+        group = obj.shape.mass_group[feet.particle]
+        sink = (np.bincount(group, sink) / np.bincount(group))[group]
     for index, depth in enumerate(sink):
         spec.pair(f"foot_{index}").margin = max(depth, 0.0)
         spec.geom(f"foot_{index}").pos[2] -= min(depth, 0.0)

@@ -64,6 +64,7 @@ def import_(
         return
     from scenarios.cli.run import show_progress
     from scenarios.results.logs import import_logs
+    from scenarios.results.trials import is_weighed
     from testbed.robot.calibration.motion import wrong_motion
 
     with show_progress() as progress:
@@ -77,7 +78,7 @@ def import_(
         print(f"wrong   {text}")
     bad, name = sum(not log.trajectory.ok for log in imported), model.name
     state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
-    scale = "" if weight is not None else f", after importing with the weight of {name}: --weight KG"
+    scale = "" if is_weighed(out, name) else f", after importing with the weight of {name}: --weight KG"
     useless = all(not log.trajectory.ok or why for log, why in zip(imported, nothing, strict=True))
     after = "what is said of the trials above" if useless or 2 * bad > len(imported) else f"heft estimate {out}{scale}"
     if wrong:

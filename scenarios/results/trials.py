@@ -14,6 +14,7 @@ from scenarios.results.files import check_unambiguous, inside, read_json, some_k
 from scenarios.results.store import Store, object_request
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
+from testbed.actions.weigh import Weigh
 from testbed.errors import HeftError, InvalidValueError
 from testbed.files import DamagedFileError, unless_damaged
 from testbed.objects.chain import Chain
@@ -239,6 +240,12 @@ def measured_records(root: Path) -> list[TrialRecord]:
             allowed = f"a folder of measured trials, but {key} is simulated: heft run asks about these"
             raise InvalidValueError("DIR", str(root), allowed)
     return sorted(trials, key=lambda t: (t.trajectory.provenance.get("recorded", ""), t.folder.name))
+
+
+def is_weighed(root: Path, name: str) -> bool:
+    """True if a folder has a weighing of an object."""
+    weighings = [key for key in keys_of(root) if kind_of_trial(root, key) == Weigh.kind]
+    return any(read_trial(root, key).object.name == name for key in weighings)
 
 
 def measured_trials(

@@ -218,7 +218,9 @@ class ObjectFile(_Table):
                 raise InvalidValueError(f"hinges.{index}.link", unknown, f"some of {', '.join(names)}")
             named = [names.index(name) for name in hinge.link]
             if twice := [names[group] for group in named if link[group]]:
-                raise InvalidValueError(f"hinges.{index}.link", twice, "blocks or parts that no other hinge names")
+                raise InvalidValueError(
+                    f"hinges.{index}.link", twice, "those up to the next hinge: a block or part is in one link"
+                )
             link[named] = index + 1
         if not (link == 0).any():
             given = f"every block or part in a link: {', '.join(names)}"

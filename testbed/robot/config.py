@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InvalidValueError
@@ -237,6 +237,12 @@ class LimitsTable(Strict):
     """Largest change of its torque."""
     joint_margin_deg: Annotated[float, Range(0, 45, "deg")] = 3.0
     """Distance to keep from the end of a joint's range."""
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        if not all(low < high for low, high in zip(self.low_m, self.high_m, strict=True)):
+            raise InvalidValueError("high_m", self.high_m, f"a corner beyond low_m, {self.low_m}, along each axis")
+        return self
 
 
 class RobotFile(Strict):

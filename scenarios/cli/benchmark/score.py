@@ -80,6 +80,10 @@ def score(
         if missing := [row["problem"] for row in each if not row["answered"]]:
             count = f"{len(missing)} of {len(each)} problems"
             print(f"{name}: {count} have no answer and count as even masses: {', '.join(missing[:MOST_NAMED])}")
+    for name, each in given.items():
+        splits = [opened.problems[problem].split for problem in each]
+        if left := sum(one != chosen for one in splits):
+            print(f"{name}: {left} of {len(splits)} answers are of another split than {chosen} and not scored")
     rows[EVEN] = scoring.score(opened, {}, known, chosen)
     console = open_console()
     for table in _by_cell(chosen, rows) if len(given) == 1 else _by_method(chosen, rows):

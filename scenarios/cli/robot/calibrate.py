@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from testbed.robot.interfaces import Arm, WrenchSensor
 
 _LEAST = 6
+MOST_RESIDUAL = 0.05
+"""Residual of touched points beyond which they are not the seen ones [m]."""
 _STILL_SPEED, _STILL_DEG = 0.01, 0.3
 """Joint speed [rad/s], and turn while measuring [deg], of a hand at rest."""
 COLUMNS = ("seen_x", "seen_y", "seen_z", "touched_x", "touched_y", "touched_z")
@@ -116,6 +118,7 @@ def hand_eye(
 
     POINTS.csv has one row per point, in meters: seen_x, seen_y, seen_z in the tracker's frame and touched_x, touched_y,
     touched_z of the tool center point in the arm's base frame; at least 4 points, not on one line. Moves nothing.
+    Exit code: 1 if the points do not fit each other.
 
     Example: heft robot hand-eye points.csv --out hand_eye.toml
 
@@ -144,5 +147,9 @@ def hand_eye(
     off = np.linalg.norm(touched - found.to_base(seen), axis=1)
     print("residuals, mm: " + ", ".join(f"{1e3 * value:.2f}" for value in off))
     print(f"residual {1e3 * found.residual:.2f} mm; positions near the points to {1e3 * found.standard_error:.2f} mm")
+    if found.residual > MOST_RESIDUAL:
+        allowed = f"{1e3 * MOST_RESIDUAL:g} mm; are both frames in meters, and does each row have one point?"
+        print(f"no file is written: a residual of {1e3 * found.residual:.3g} mm; allowed: {allowed}")
+        sys.exit(1)
     save_hand_eye(out, found, f"{datetime.now(UTC):%Y-%m-%d}")
     print(out)

@@ -373,6 +373,9 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
     found = load_hand_eye(folder / "hand_eye.toml")
     read = TrackedPose(KnownPose(0.1, 0.0, 0.0), found).read()
     assert read == pytest.approx([*(turn.apply([0.1, 0, 0]) + place)[:2], math.radians(40)], abs=1e-9)
+    table.assign(**{name: 1e3 * table[name] for name in COLUMNS[:3]}).to_csv("points.csv", index=False)
+    assert ended("hand-eye", "points.csv", "--out", "other.toml") == 1
+    assert "no file is written: a residual of" in capsys.readouterr().out and not (folder / "other.toml").exists()
     table.drop(columns="seen_z").to_csv("points.csv", index=False)
     assert "seen_z as well" in refused(capsys, "hand-eye", "points.csv")
 
@@ -400,6 +403,11 @@ def test_bad_input_is_one_clear_line(folder, capsys, words, field):
 
 
 def test_a_robot_file_names_its_errors(folder):
+    (folder / "mine.toml").write_text(
+        "[limits]\nlow_m = [0.6, -0.3, 0.1]\nhigh_m = [0.3, 0.3, 0.3]\n", encoding="utf-8"
+    )
+    with pytest.raises(HeftError, match=r"limits.*high_m: got \[0\.3, .*; allowed: a corner beyond low_m"):
+        load_robot_file(folder / "mine.toml")
     (folder / "mine.toml").write_text("[limits]\nforce_n = 3\n[bench]\ntare_s = 0\n", encoding="utf-8")
     with pytest.raises(HeftError, match=r"(?s)limits\.force_n.*force_N.*|bench\.tare_s"):
         load_robot_file(folder / "mine.toml")

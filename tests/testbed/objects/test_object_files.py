@@ -207,7 +207,10 @@ def test_a_wrong_field_is_refused_with_file_field_and_value(written, text: str, 
     [
         ([(-0.03, ["A1", "B1"]), (0.03, ["E1", "F1"])], "hinges.1.at_m: .* A1, B1 is 65 mm away"),
         ([(-9.0, ["D1", "E1", "F1"])], "hinges.0.at_m: .* a place at both its links"),
-        ([(-0.03, ["C1", "D1"]), (0.03, ["D1", "E1", "F1"])], "hinges.1.link: got .*D1.* no other hinge names"),
+        (
+            [(-0.03, ["C1", "D1"]), (0.03, ["D1", "E1", "F1"])],
+            "hinges.1.link: got .*D1.*: a block or part is in one link",
+        ),
         ([(0.0, ["A1", "B1", "C1", "D1", "E1", "F1"])], "one or more that no hinge names, the first link"),
         ([(0.0, ["G1"])], "some of A1, B1"),
     ],

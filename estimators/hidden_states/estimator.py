@@ -19,7 +19,7 @@ from estimators.hidden_states.friction import closed_form, contradiction, descen
 from estimators.hidden_states.masses import PivotInertia, fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
-from estimators.particles.links import HINGE_PRIOR
+from estimators.particles.links import hinge_frictions
 from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION
@@ -137,19 +137,6 @@ def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDi
     return Estimate(None, "underdetermined", why, identifiability=report)
 
 
-def _hinges(trials: TrialWindows, at: MassDistribution, widening: float) -> tuple[dict[str, float], str]:
-    """Friction of every hinge that was seen to turn, with its standard deviation, N m; and the others, in words."""
-    found = trials.friction_equations(at).hinge_friction()
-    named: dict[str, float] = {}
-    unseen: list[str] = []
-    for index, (torque, std) in enumerate(zip(*found, strict=True) if found else ()):
-        if std > HINGE_PRIOR / 2:
-            unseen.append(f"hinge {index} stands in every window: its friction is not observed")
-        else:
-            named |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": float(std) * widening**0.5}
-    return named, "; ".join(unseen)
-
-
 def _settled(trials: TrialWindows, found: Solution) -> MassDistribution:
     """The masses, or those of one friction for all where they are one of many that fit, at a bound."""
     if found.masses.rank < found.masses.unknowns and found.H.friction_load.any():
@@ -169,7 +156,8 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
     misfit = trials.misfit(at, s)
-    hinges, unseen = _hinges(trials, at, misfit.widening)
+    torque, std = trials.friction_equations(at).hinge_friction() or ((), ())
+    hinges, unseen = hinge_frictions(torque, std, misfit.widening**0.5)
     return Estimate(
         at,
         "underdetermined" if open_ else misfit.status,

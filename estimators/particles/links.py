@@ -7,6 +7,8 @@ that, and its row is none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -59,6 +61,18 @@ def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> F
     # a hinge that may stand says nothing, and a row of zeros needs some error
     off = HINGE_ERROR * hinge * alike + windows.standing.double() + LEAST_ERROR
     return torch.cat([FORCE_ERROR * wrench * alike, off], 1)
+
+
+def hinge_frictions(torque: Sequence[float], std: Sequence[float], widening: float) -> tuple[dict[str, float], str]:
+    """Friction of every hinge that was seen to turn, with its widened error, N m; and the others, in words."""
+    named: dict[str, float] = {}
+    unseen: list[str] = []
+    for index, (each, error) in enumerate(zip(torque, std, strict=True)):
+        if error > HINGE_PRIOR / 2:
+            unseen.append(f"hinge {index} stands in every window: its friction is not observed")
+        else:
+            named |= {f"hinge_{index}_Nm": float(each), f"hinge_{index}_std_Nm": widening * float(error)}
+    return named, "; ".join(unseen)
 
 
 def resting(windows: Observations, table: Table) -> Float[Tensor, "K P"]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimators.base import Estimate
 from estimators.identifiability.report import identifiability, prior_masses
-from estimators.particles.links import HINGE_PRIOR
+from estimators.particles.links import hinge_frictions
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
 from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
@@ -363,18 +363,19 @@ class Posterior:
         if misfit.explains and not open_ and (loose := loose_groups(shape, at.mass, covariance)):
             open_, directions = True, f"hardly known: {', '.join(loose)}"
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
+        hinges, unseen = self._hinges(misfit.widening**0.5)
+        named = "" if misfit.explains else self.parts[0].sentence
         status = "underdetermined" if open_ else misfit.status if self.optimum.converged else "not_converged"
         return Estimate(
             at,
             status,
-            "; ".join(
-                filter(None, [directions, settled, misfit.reason, "" if misfit.explains else self.parts[0].sentence])
-            ),
+            "; ".join(filter(None, [directions, settled, misfit.reason, named, unseen])),
             covariance=covariance,
             identifiability=report,
             diagnostics={
                 **misfit.diagnostics,
                 **self._frictions(misfit.widening**0.5),
+                **hinges,
                 **self.nuisances(),
                 "rounds": float(self.optimum.rounds),
             },
@@ -426,13 +427,15 @@ class Posterior:
         return found
 
     def _frictions(self, widening: float) -> dict[str, float]:
-        """Standard deviations of the frictions, and the friction of every hinge with its own, N m."""
-        found = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
-        if "hinge_friction" in self.unknowns.blocks:
-            for index, (torque, std) in enumerate(zip(*self.of("hinge_friction"), strict=True)):
-                if std < HINGE_PRIOR / 2:
-                    found |= {f"hinge_{index}_Nm": float(torque), f"hinge_{index}_std_Nm": widening * float(std)}
-        return found
+        """Standard deviations of the frictions."""
+        return {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
+
+    def _hinges(self, widening: float) -> tuple[dict[str, float], str]:
+        """Friction of every hinge that turns, with its error, N m; and the others, in words."""
+        if "hinge_friction" not in self.unknowns.blocks:
+            return {}, ""
+        torque, std = self.of("hinge_friction")
+        return hinge_frictions(torque.tolist(), std.tolist(), widening)
 
 
 def loose_groups(

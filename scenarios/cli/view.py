@@ -102,8 +102,8 @@ def _open_viewer(folder: Path, what: tuple[str, ...], port: int, *, web: bool) -
 
     if len(what) > 1:
         raise InvalidValueError("WHAT", " ".join(what), "one object or key at a time; several with --record")
-    page = page_of(folder, what[0] if what else None)
     viewer.check_display(web=web)
+    page = page_of(folder, what[0] if what else None)
     with orderly_end(), tempfile.TemporaryDirectory(prefix="heft-") as place:
         path = Path(place) / "page.rrd"
         save(page, path)

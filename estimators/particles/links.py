@@ -7,7 +7,7 @@ that, and its row is none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import torch
 from jaxtyping import Float
@@ -63,7 +63,7 @@ def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> F
     return torch.cat([FORCE_ERROR * wrench * alike, off], 1)
 
 
-def hinge_frictions(torque: Sequence[float], std: Sequence[float], widening: float) -> tuple[dict[str, float], str]:
+def hinge_frictions(torque: Iterable[float], std: Iterable[float], widening: float) -> tuple[dict[str, float], str]:
     """Friction of every hinge that was seen to turn, with its widened error, N m; and the others, in words."""
     named: dict[str, float] = {}
     unseen: list[str] = []

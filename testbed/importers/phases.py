@@ -35,7 +35,7 @@ STEADY_WITHIN = 0.1
 """Largest deviation of a stretch from the action's speed, as a part of it."""
 PUSHED_WITHIN = 0.5
 """The same of a push, as far as its end: the arm gives way as the fingertip meets the object."""
-_UPRIGHT = 0.9
+_UPRIGHT = 0.7
 """Least part of a hand's turn that is about the vertical. Ours."""
 STILL = (0.002, np.radians(0.5))
 """Speeds below which the tool is at rest [m/s, rad/s]."""

@@ -51,8 +51,10 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         InvalidValueError: no such topic, column, frame, link or joint; or nothing says where the pose is.
         LogError: values that are no pose.
     """
-    by_joints = isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE
-    found = _from_joints(log, hand, time, folder) if by_joints else _pose(log, "hand", hand, time)
+    if isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE:
+        found = _from_joints(log, hand, time, folder)
+    else:
+        found = _pose(log, "hand", hand, time)
     series, turned = without_frozen(found)
     return series._replace(values=hand.upright.apply(series.values)), hand.upright * turned
 

@@ -17,6 +17,7 @@ hand.position = ["x_mm", "y_mm", "z_mm"]
 hand.position_unit = "mm"
 hand.orientation = ["qw", "qx", "qy", "qz"]
 tool = {{ mass_kg = {mass}, com_m = {com}, inertia_kg_m2 = {inertia}, tcp_m = {tcp} }}
+setup.preset = "ideal"  # the recorded block is a simulation; state your own errors, or "lab"
 """
 LOG = """
 [[logs]]

@@ -61,7 +61,7 @@ def export(
     from scenarios.results.files import check_results
 
     check_results(folder)
-    if out is not None and out.suffix != f".{_ENDING[format_]}":
+    if out is not None and out.suffix not in (f".{_ENDING[format_]}", f".{format_}"):
         raise InvalidValueError("--out", out, f"a file that ends in .{_ENDING[format_]}, for --format {format_}")
     if format_ == "mcap":
         for name, given in (("--inertial", inertial), ("--scene", scene), ("--draws", draws), ("--models", models)):

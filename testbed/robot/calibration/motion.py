@@ -28,7 +28,7 @@ CENTER_ALLOWED = 0.003
 CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
 """Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
 CLOSING_EXACT, TCP_EXACT = np.radians(0.1), 1e-4
-"""The same where they are stated as exact."""
+"""The same where they are stated as exact, of three turns or more: the scatter of their centers is known."""
 LEAST_SPREAD = 1e-4
 """Least standard error of a turn's center along an axis [m]: a few turns agree by chance. Ours."""
 HEADING_ALLOWED = np.radians(5.0)
@@ -54,7 +54,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
         for action, windows in turned
     ])  # fmt: skip
-    setup, exact, findings = _stated(steady), _exact(steady), []
+    setup, exact, findings = _stated(steady), _exact(steady) if len(turned) > 2 else set[str](), []
     held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
     allowed = CENTER_ALLOWED + SURE * held
     kinds = {"stated": named, "mirrored": named * [1, -1]}

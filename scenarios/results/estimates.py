@@ -122,10 +122,11 @@ def row_of(folder: Path, beginning: str) -> Row:
     Raises:
         InvalidValueError: no such estimate, or more than one.
     """
-    found = [row for row in load_rows(folder) if str(row.get("key") or "").startswith(beginning)]
+    rows = [row for row in load_rows(folder) if row.get("key")]
+    found = [row for row in rows if str(row["key"]).startswith(beginning)]
     check_unambiguous("ESTIMATE", beginning, [str(row["key"]) for row in found])
     if not found:
-        there = some_keys([str(row["key"]) for row in load_rows(folder) if row.get("key")])
+        there = some_keys([str(row["key"]) for row in rows])
         allowed = f"the beginning of an estimate's key in {folder}: {there or 'none is there'}"
         raise InvalidValueError("ESTIMATE", beginning, allowed)
     return found[0]

@@ -28,7 +28,8 @@ CENTER_ALLOWED = 0.003
 CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
 """Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
 CLOSING_EXACT, TCP_EXACT = np.radians(0.1), 1e-4
-"""The same where they are stated as exact, of three turns or more: the scatter of their centers is known."""
+"""Allowed errors of closing direction [rad] and TCP [m] where they are stated as exact, of three turns or more, whose
+scatter is known."""
 LEAST_SPREAD = 1e-4
 """Least standard error of a turn's center along an axis [m]: a few turns agree by chance. Ours."""
 HEADING_ALLOWED = np.radians(5.0)

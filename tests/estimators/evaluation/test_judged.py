@@ -162,7 +162,7 @@ def test_an_answer_of_any_method_is_judged(answer, block, status):
 def test_masses_beside_the_weight_by_more_than_their_own_errors_are_not_ok():
     light = MassDistribution(0.7 * TRUTH.mass, TRUTH.friction)
     known = {"misfit": 1.0}
-    for part, status in ((0.01, "unexplained"), (0.5, "ok")):
+    for part, status in ((0.01, "unexplained"), (0.5, "ok"), (1.0, "underdetermined")):
         covariance = np.diag((part * TRUTH.mass) ** 2)
         found = status_of(says(light, covariance=covariance, diagnostics=known))
         assert found.status == status and "add up to 0.7 times the weight" in found.message

@@ -223,6 +223,11 @@ def regripped(trial):
     return replace(trial, action=replace(trial.action, grasp=(trial.action.grasp + 1) % len(SHAPE.grasps)))
 
 
+def mirrored(trial):
+    """Trial of which one component of the force has the other sign."""
+    return replace(trial, wrench_on_object_world=trial.wrench_on_object_world * np.array([-1, 1, 1, 1, 1, 1]))
+
+
 @pytest.mark.parametrize(
     "setup",
     [pytest.param(TRIALS[0].setup, id="exact"), pytest.param(world("lab").stated, id="lab", marks=pytest.mark.slow)],
@@ -242,6 +247,15 @@ def test_a_wrong_trial_is_named(wrong, number):
     found = diagnosed(SHAPE, WEIGHT, trials)
     assert f"trial {number} does not agree with the others" in found.verdict
     assert found.without < 1.5
+
+
+@pytest.mark.parametrize("wrong", [mirrored, regripped])
+@pytest.mark.parametrize("number", [4, 5, 6, 7])
+def test_an_estimate_names_a_wrong_trial_though_others_have_larger_residuals(wrong, number):
+    trials = list(TRIALS)
+    trials[number - 1] = wrong(trials[number - 1])
+    message = Bayes().estimate(SHAPE, WEIGHT, trials, 0).message
+    assert f"least likely, given the others: the wrenches of trial {number}" in message
 
 
 @pytest.mark.slow

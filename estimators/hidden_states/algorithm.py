@@ -26,13 +26,6 @@ LoadSolver = Callable[[LinearSystem], tuple[Float[np.ndarray, "n_s"], tuple[Trac
 
 
 @dataclass(frozen=True, eq=False)
-class Underdetermined:
-    """End of Algorithm 1 where rank(Q) < n_s."""
-
-    Q_s_b: LinearSystem
-
-
-@dataclass(frozen=True, eq=False)
 class Solution:
     """One pass through Algorithm 1."""
 
@@ -47,8 +40,8 @@ class Solution:
     """One a run of an optimizer of s."""
 
 
-def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver) -> Solution | Underdetermined:
-    """Estimate hidden states, mass and friction from the windows of some trials.
+def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver) -> Solution | LinearSystem:
+    """Estimate hidden states, mass and friction from the windows of some trials; Q s = b alone where rank(Q) < n_s.
 
     Args:
         trials: steady and accelerated windows, M and the groups G_s.
@@ -59,7 +52,7 @@ def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver
 
     Q_s_b = trials.friction_system(guess)  # Eq. dvs
     if Q_s_b.rank < n_s:
-        return Underdetermined(Q_s_b)
+        return Q_s_b
     s, traces = solve(Q_s_b)  # Eq. problem_si
 
     I_j = trials.pivot_inertias(guess, s)  # Eq. dvp

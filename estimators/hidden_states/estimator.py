@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from estimators.base import Estimate, Trace, weighed
 from estimators.descent import OPTIMIZERS, check_optimizers
-from estimators.hidden_states.algorithm import Solution, Underdetermined, algorithm_1
+from estimators.hidden_states.algorithm import Solution, algorithm_1
 from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
 from estimators.hidden_states.masses import PivotInertia, fixed_rows, load_jacobian, one_friction_masses
@@ -101,7 +101,7 @@ class HiddenStates:
         solution: Solution | None = None
         for done in range(max(self.refinements, MOST_ROUNDS)):
             found = algorithm_1(trials, guess, partial(self._solve, seconds=trials.robot_seconds))
-            if isinstance(found, Underdetermined):
+            if isinstance(found, LinearSystem):
                 return _underdetermined(trials, found, guess)
             trials, last = trials.about_errors(guess, found.H.friction_load), guess
             solution, guess = found, _settled(trials, found)
@@ -128,12 +128,11 @@ def _report(
     return identifiability(shape, at, np.vstack([of_loads, fixed]))
 
 
-def _underdetermined(trials: TrialWindows, found: Underdetermined, guess: MassDistribution) -> Estimate:
+def _underdetermined(trials: TrialWindows, system: LinearSystem, guess: MassDistribution) -> Estimate:
     """Estimate without masses, where rank(Q) < n_s."""
     pivots = trials.pivot_inertias(guess, trials.friction_loads(guess))
-    report = _report(trials, found.Q_s_b, pivots, guess)
-    rank, n_s = found.Q_s_b.rank, len(trials.groups.pairs)
-    why = f"rank(Q) is {rank} and {n_s} friction loads are unknown: turn about more points"
+    report, n_s = _report(trials, system, pivots, guess), len(trials.groups.pairs)
+    why = f"rank(Q) is {system.rank} and {n_s} friction loads are unknown: turn about more points"
     return Estimate(None, "underdetermined", why, identifiability=report)
 
 

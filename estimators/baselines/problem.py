@@ -25,7 +25,7 @@ from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.scale import Weighing
-from estimators.wrench.model import Inertia, ModelErrors, ParticleModel, cross, inertia_of
+from estimators.wrench.model import ModelErrors, ParticleModel, cross, inertia_of
 from estimators.wrench.support import LOADS, SupportModel
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape, check_shape
 from testbed.trajectory import Trajectory
@@ -120,13 +120,32 @@ class Problem:
 
     @cached_property
     def sensed(self) -> SensedRows:
-        """Rows of the loss that is weighed by covariance."""
-        if not self.draws:
-            return _sensed(self.shape, self.model, self.windows, self.weight, self.errors, self.support)
-        each = [draw.sensed for draw in self.draws]
-        model = WrenchModel.stacked([rows.model for rows in each])
-        read, whiten = torch.stack([rows.read for rows in each]), torch.stack([rows.whiten for rows in each])
-        return SensedRows(model, read[:, None], whiten)
+        """Rows of the loss that is weighed by covariance: those of Algorithm 1, about the likeliest errors.
+
+        On own weight they are about the masses that its friction loads give with one friction for all. A search
+        predicts no torques about hinges.
+        """
+        if self.draws:
+            each = [draw.sensed for draw in self.draws]
+            stacked = WrenchModel.stacked([rows.model for rows in each])
+            read, whiten = torch.stack([rows.read for rows in each]), torch.stack([rows.whiten for rows in each])
+            return SensedRows(stacked, read[:, None], whiten)
+        shape, windows, errors = self.shape, self.windows, self.errors
+        mass = windows.drag / (LIKELY_FRICTION * GRAVITY) if self.weight is None else self.weight
+        trials = TrialWindows.about(shape, mass, windows, errors)
+        at, on_table = trials.first_guess(), OnTable.of(shape, windows, self.support, errors)
+        for _ in range(ROUNDS if self.support == "own_weight" else 0):
+            s = closed_form(trials.friction_system(at))
+            if self.weight is not None:  # else the inertia of the guess is off as well
+                trials = trials.about_errors(at, s)
+            at = one_friction_masses(shape, mass, trials.groups.pairs, s)
+        equations = FrictionEquations.about(on_table, mass, at, errors, trials.off)
+        covariance = equations.covariance[:, :6, :, :6].flatten(0, 1).flatten(1)
+        per_mass, inertial = on_table.table.windows["per_mass"], on_table.inertial_rows[:, :6]
+        loads = AffineLoads(per_mass, torch.zeros_like(per_mass[..., 0]))
+        found = WrenchModel.by_rows(self.model, inertial, equations.drag_rows[:, :6], loads)
+        read = equations.missing[:, :6] + found.wrench(torch.tensor(at.mass), torch.tensor(at.friction))
+        return SensedRows(found, read, torch.linalg.inv(torch.linalg.cholesky(covariance)))
 
     @property
     def layout(self) -> tuple[float, ...]:
@@ -151,17 +170,13 @@ class Problem:
             return torch.full_like(friction, self.weight / count)
         return self.windows.drag / (friction * GRAVITY * count)
 
-    def inertia(self, mass: Float[Tensor, "... n_m"]) -> Inertia:
-        """M, c and I_cm of candidates."""
-        return inertia_of(self.model, self.model.particle_mass(mass))
-
     def loss(
         self, mass: Float[Tensor, "... n_m"], friction: Float[Tensor, "... n_mu"], weighting: Weighting = "velocity"
     ) -> Float[Tensor, "..."]:
         """Mean over windows of |v_predicted - v_measured|^2 one step on (Eq. problem), or of the whitened error."""
         if weighting == "covariance":
             return self._whitened(mass, friction).square().mean(-1)
-        along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
+        along, spin = self._missing_acceleration(mass, friction)
         return STEP**2 * (along.square().sum(-1) + spin.square()).mean(-1)
 
     def unexplained(self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]) -> float:
@@ -182,7 +197,7 @@ class Problem:
         """Residuals whose squares sum to `loss`."""
         if weighting == "covariance":
             return self._whitened(mass, friction) / math.sqrt(len(self.sensed.whiten))
-        along, spin = self._missing_acceleration(mass, self.windows.wrench - self.wrenches.wrench(mass, friction))
+        along, spin = self._missing_acceleration(mass, friction)
         return STEP / math.sqrt(len(self.windows)) * torch.cat([along.flatten(), spin])
 
     def report(self, at: MassDistribution) -> Identifiability:
@@ -199,39 +214,10 @@ class Problem:
         rows = self.sensed
         return (rows.read - rows.model.wrench(mass, friction)).flatten(-2) @ rows.whiten.mT
 
-    def _missing_acceleration(self, mass: Tensor, missing: Float[Tensor, "... K 3"]) -> tuple[Tensor, Tensor]:
-        """Acceleration of the center of mass and of the turn by a missing wrench, shapes (..., K, 2) and (..., K)."""
-        inertia = self.inertia(mass)
+    def _missing_acceleration(self, mass: Tensor, friction: Tensor) -> tuple[Tensor, Tensor]:
+        """Acceleration of the center of mass and of the turn by the missing wrench, shapes (..., K, 2) and (..., K)."""
+        missing = self.windows.wrench - self.wrenches.wrench(mass, friction)
+        inertia = inertia_of(self.model, self.model.particle_mass(mass))
         arm = inertia.com[..., None, :] - self.windows.grasp
         spin = (missing[..., 2] - cross(arm, missing[..., :2])) / inertia.about_com[..., None]
         return missing[..., :2] / inertia.mass[..., None, None], spin
-
-
-def _sensed(
-    shape: ObjectShape,
-    model: ParticleModel,
-    windows: Observations,
-    weight: float | None,
-    errors: ModelErrors,
-    support: SupportModel,
-) -> SensedRows:
-    """Model of all six components, their values, and the inverse root of their covariance.
-
-    The rows are those of Algorithm 1, on own weight about the masses that its friction loads give with one friction for
-    all, and about the likeliest errors. A search predicts no torques about hinges.
-    """
-    mass = windows.drag / (LIKELY_FRICTION * GRAVITY) if weight is None else weight
-    trials = TrialWindows.about(shape, mass, windows, errors)
-    at, on_table = trials.first_guess(), OnTable.of(shape, windows, support, errors)
-    for _ in range(ROUNDS if support == "own_weight" else 0):
-        s = closed_form(trials.friction_system(at))
-        if weight is not None:  # else the inertia of the guess is off as well
-            trials = trials.about_errors(at, s)
-        at = one_friction_masses(shape, mass, trials.groups.pairs, s)
-    equations = FrictionEquations.about(on_table, mass, at, errors, trials.off)
-    covariance = equations.covariance[:, :6, :, :6].flatten(0, 1).flatten(1)
-    per_mass, inertial = on_table.table.windows["per_mass"], on_table.inertial_rows[:, :6]
-    loads = AffineLoads(per_mass, torch.zeros_like(per_mass[..., 0]))
-    found = WrenchModel.by_rows(model, inertial, equations.drag_rows[:, :6], loads)
-    read = equations.missing[:, :6] + found.wrench(torch.tensor(at.mass), torch.tensor(at.friction))
-    return SensedRows(found, read, torch.linalg.inv(torch.linalg.cholesky(covariance)))

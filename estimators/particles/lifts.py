@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.linalg import block_diag
 from torch import Tensor
 
 from estimators.wrench.air import columns
@@ -60,18 +61,6 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
     return reduced_trials(shape, trajectories, lambda action: action.in_air, lift_windows)
 
 
-def creep_covariance(windows: Sequence[LiftWindow], steps: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R R"]:
-    """Covariance of a creep of the object in the grip: a random walk from the first of one trial's K windows, R = 6 K.
-
-    Args:
-        windows: windows of the trial.
-        steps: change of each wrench with one standard deviation of the whole way, along x, y and z.
-    """
-    middle = np.array([w.since_tare.mean() for w in windows])
-    gone = np.repeat((middle - middle[0]) / max(middle[-1] - middle[0], 1e-9), 6)
-    return steps @ steps.T * np.minimum(gone[:, None], gone)
-
-
 def upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
     """Standard deviations of second moments with height, where partly filled cells leave the height of matter open.
 
@@ -105,11 +94,15 @@ def lift_covariance(
         weight: M, kg.
     """
     common = columns(slopes, sizes).numpy()
+    # the object creeps in the grip, a random walk from the first window to the last
+    middle = np.array([w.since_tare.mean() for w in windows])
+    gone = np.repeat((middle - middle[0]) / max(middle[-1] - middle[0], 1e-9), 6)
     steps = slopes["place"].flatten(0, 1).numpy() * [errors.creep, errors.creep, errors.slip]
     size = errors.wrench * GRAVITY * weight
     lever = np.linalg.norm(shape.particles - shape.grasps[windows[0].grasp].position, axis=1).mean()
     each = np.diag(np.tile(np.square([size] * 3 + [size * lever] * 3), len(windows)))
-    return _sensor_covariance(windows) + common @ common.T + each + creep_covariance(windows, steps)
+    creep = steps @ steps.T * np.minimum(gone[:, None], gone)
+    return _sensor_covariance(windows) + common @ common.T + each + creep
 
 
 def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:
@@ -117,6 +110,4 @@ def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"
     count, walked = len(windows), walk(torch.tensor(np.array([w.since_tare for w in windows]))).numpy()
     covariance = np.kron(np.ones((count, count)), windows[0].bias_covariance)
     covariance += np.kron(walked, windows[0].drift_covariance)
-    for k, window in enumerate(windows):
-        covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += window.covariance
-    return covariance
+    return covariance + block_diag(*(window.covariance for window in windows))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import clarabel
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
@@ -13,10 +10,9 @@ from scipy.stats import chi2
 
 from estimators.inertial.body import InertialParameters
 from estimators.inertial.equations import InertialEquations
-from testbed.errors import HeftError
+from estimators.inertial.semidefinite import CONES, least
 from testbed.objects.model import ObjectShape
 
-_solver: Any = clarabel  # it comes without types
 LEVELS = 3
 """Heights at which the mass of a cell may lie, from the object's bottom to its top."""
 
@@ -50,20 +46,13 @@ def part_ranges(
     count = len(places)
     matrix = np.vstack([-np.eye(count), np.zeros((1, count)), -rows / size * scale / radius])
     bound = np.concatenate([np.zeros(count), [1.0], -equations.values / radius])
-    cones = [_solver.NonnegativeConeT(count), _solver.SecondOrderConeT(1 + len(rows))]
-    settings = _solver.DefaultSettings()
-    settings.verbose = False
+    cones = [CONES.NonnegativeConeT(count), CONES.SecondOrderConeT(1 + len(rows))]
+    quadratic, constraints = sparse.csc_matrix((count, count)), sparse.csc_matrix(matrix)
     found = np.zeros((int(part.max()) + 1, 2))
     for index in range(len(found)):
         for end, sign in enumerate((1.0, -1.0)):
-            aim = sign * (part == index)
-            solver = _solver.DefaultSolver(
-                sparse.csc_matrix((count, count)), aim, sparse.csc_matrix(matrix), bound, cones, settings
-            )
-            solved = solver.solve()
-            if str(solved.status) not in ("Solved", "AlmostSolved"):
-                raise HeftError(f"part_ranges: the cone program ended as {solved.status}")
-            found[index, end] = scale / size * float(np.array(solved.x) @ (part == index))
+            program = quadratic, sign * (part == index), constraints, bound, cones
+            found[index, end] = scale / size * float(least("part_ranges: the cone program", *program) @ (part == index))
     return found
 
 

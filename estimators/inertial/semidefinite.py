@@ -17,7 +17,7 @@ from estimators.inertial.estimate import InertialEstimate, drawn_values
 from testbed.errors import HeftError
 from testbed.validation import freeze_arrays
 
-_solver: Any = clarabel  # it comes without types
+CONES: Any = clarabel  # it comes without types
 ABOUT = 0.1
 """Size of a body of which nothing is stated, m: it scales the program, and bounds nothing."""
 _TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
@@ -79,11 +79,11 @@ class _Program:
         self.entries = entries / self.mass
         self.rows = equations.rows @ np.linalg.inv(self.entries)
         self.rows /= np.linalg.norm(self.rows)
-        blocks, self.cones = [np.eye(SIZE)], [_solver.PSDTriangleConeT(4)]
+        blocks, self.cones = [np.eye(SIZE)], [CONES.PSDTriangleConeT(4)]
         if within is not None:
             inside = np.diag([-1.0, -1.0, -1.0, 1.0])  # tr(P Q) >= 0 with the quadric Q of the unit sphere
             blocks.append(np.array([[inside[i, j] for i, j in _TRIANGLE]]))
-            self.cones.append(_solver.NonnegativeConeT(1))
+            self.cones.append(CONES.NonnegativeConeT(1))
         self.bounds = np.vstack(blocks)
         self.quadratic = sparse.csc_matrix(np.triu(self.rows.T @ self.rows))
 
@@ -96,11 +96,19 @@ class _Program:
         if np.linalg.eigvalsh(whole)[0] >= 0 and (self.bounds[SIZE:] @ start >= 0).all():
             return plain
         linear = -self.rows.T @ (self.rows @ start)
-        matrix = sparse.csc_matrix(-self.bounds)
-        settings = _solver.DefaultSettings()
-        settings.verbose = False
-        solver = _solver.DefaultSolver(self.quadratic, linear, matrix, np.zeros(len(self.bounds)), self.cones, settings)
-        found = solver.solve()
-        if str(found.status) not in ("Solved", "AlmostSolved"):
-            raise HeftError(f"consistent_inertia: the semidefinite program ended as {found.status}")
-        return np.linalg.solve(self.entries, np.array(found.x))
+        program = self.quadratic, linear, sparse.csc_matrix(-self.bounds), np.zeros(len(self.bounds)), self.cones
+        return np.linalg.solve(self.entries, least("consistent_inertia: the semidefinite program", *program))
+
+
+def least(name: str, *program: Any) -> np.ndarray:
+    """Point of least value of a program: quadratic and linear terms, matrix, bounds and cones, as clarabel takes them.
+
+    Raises:
+        HeftError: the solver finds no solution.
+    """
+    settings = CONES.DefaultSettings()
+    settings.verbose = False
+    found = CONES.DefaultSolver(*program, settings).solve()
+    if str(found.status) not in ("Solved", "AlmostSolved"):
+        raise HeftError(f"{name} ended as {found.status}")
+    return np.array(found.x)

@@ -35,17 +35,20 @@ class InertialParameters:
     def of_vector(vector: Float[np.ndarray, "10"]) -> InertialParameters:
         """The parameters of a `vector`; its mass must not be zero."""
         mass, center, about = float(vector[0]), vector[1:4] / vector[0], _inertia(vector)
-        return InertialParameters(mass, center, about - mass * _steiner(center))
+        return InertialParameters(mass, center, about - mass * steiner(center))
 
     @staticmethod
     def of_points(places: Float[np.ndarray, "P 3"], masses: Float[np.ndarray, "P"]) -> InertialParameters:
         """The parameters of point masses."""
-        return InertialParameters.of_vector(np.concatenate([[masses.sum()], masses @ places, _second(places, masses)]))
+        squares = np.einsum("p,pi,pj->ij", masses, places, places)
+        about = np.trace(squares) * np.eye(3) - squares
+        entries = [about[place] for place in _PLACES]
+        return InertialParameters.of_vector(np.concatenate([[masses.sum()], masses @ places, entries]))
 
     @property
     def vector(self) -> Float[np.ndarray, "10"]:
         """m, m c, and the inertia about the origin: xx, xy, xz, yy, yz, zz; a wrench is linear in it."""
-        about = self.inertia + self.mass * _steiner(self.center_of_mass)
+        about = self.inertia + self.mass * steiner(self.center_of_mass)
         return np.concatenate([[self.mass], self.mass * self.center_of_mass, [about[place] for place in _PLACES]])
 
     @property
@@ -76,7 +79,7 @@ def shift_map(lever: Float[np.ndarray, "3"]) -> Float[np.ndarray, "10 10"]:
         m, first, about = one[0], one[1:4], _inertia(one)
         moved = (
             about
-            + m * _steiner(lever)
+            + m * steiner(lever)
             - (2 * first @ lever * np.eye(3) - np.outer(first, lever) - np.outer(lever, first))
         )
         columns.append(np.concatenate([[m], first - m * lever, [moved[place] for place in _PLACES]]))
@@ -88,13 +91,6 @@ def _inertia(vector: Float[np.ndarray, "10"]) -> Float[np.ndarray, "3 3"]:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _steiner(c: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def steiner(c: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Inertia of a unit mass at c."""
     return c @ c * np.eye(3) - np.outer(c, c)
-
-
-def _second(places: np.ndarray, masses: np.ndarray) -> Float[np.ndarray, "6"]:
-    """Inertia of point masses about the origin, as the vector has it."""
-    squares = np.einsum("p,pi,pj->ij", masses, places, places)
-    about = np.trace(squares) * np.eye(3) - squares
-    return np.array([about[place] for place in _PLACES])

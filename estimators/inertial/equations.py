@@ -75,10 +75,15 @@ class InertialEquations:
     """Degrees of freedom of the misfit."""
 
     @property
+    def scale(self) -> Float[np.ndarray, "10"]:
+        """Length of the column of each parameter; 1 of one that no row has."""
+        scale = np.linalg.norm(self.rows, axis=0)
+        return np.where(scale > 0, scale, 1.0)
+
+    @property
     def rank(self) -> int:
         """Number of parameters that are seen, of ten."""
-        scale = np.linalg.norm(self.rows, axis=0)
-        strength = np.linalg.svd(self.rows / np.where(scale > 0, scale, 1.0), compute_uv=False)
+        strength = np.linalg.svd(self.rows / self.scale, compute_uv=False)
         return int((strength > 1e-6 * strength[0]).sum())
 
 

@@ -47,34 +47,27 @@ def lift_equations(
     )
     even = np.sum([part.vector * part.mass for part in column_parts(shape)], axis=0) / shape.n_m
     even *= (pull.ravel() @ force.ravel()) / (pull.ravel() @ pull.ravel())
-    found = even
-    equations = _equations(shape, trials, found, errors)
+    equations = _equations(shape, trials, even, errors or LiftErrors())
     for _ in range(ROUNDS):
-        scale = np.linalg.norm(equations.rows, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        left = equations.values - equations.rows @ even
+        scale, left = equations.scale, equations.values - equations.rows @ even
         found = even + np.linalg.pinv(equations.rows / scale, rcond=1e-6) @ left / scale
-        equations = _equations(shape, trials, found, errors)
+        equations = _equations(shape, trials, found, errors or LiftErrors())
     return equations
 
 
 def _equations(
-    shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], body: np.ndarray, errors: LiftErrors | None
+    shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], body: Float[np.ndarray, "10"], errors: LiftErrors
 ) -> InertialEquations:
     """Equations of all trials, their errors weighed by some parameters."""
-    return joined([_of_trial(shape, windows, body, errors or LiftErrors(), len(trials)) for windows in trials])
-
-
-def _of_trial(
-    shape: ObjectShape, windows: Sequence[LiftWindow], body: Float[np.ndarray, "10"], errors: LiftErrors, trials: int
-) -> InertialEquations:
-    air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
-    sizes = stated_sizes(windows[0].setup, ("air", "reading"), trials=trials) | errors.sizes(errors.sag)
-    _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
-    if offset := windows[0].setup.particle_offset * trials**0.5:  # of groups with as much mass as they are large
-        size = shape.per_group(np.ones(len(shape.particles)))
-        slopes["parts"] = slopes["place"][..., :2]
-        sizes["parts"] = torch.full((2,), offset * float(np.linalg.norm(size / size.sum())))
-    covariance = lift_covariance(shape, windows, slopes, sizes, errors, float(body[0]))
-    rows = slopes["body"].flatten(0, 1).numpy()
-    return compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance)
+    found, size = [], shape.per_group(np.ones(len(shape.particles)))
+    for windows in trials:
+        air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
+        sizes = stated_sizes(windows[0].setup, ("air", "reading"), trials=len(trials)) | errors.sizes(errors.sag)
+        _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
+        if offset := windows[0].setup.particle_offset * len(trials) ** 0.5:  # of groups with as much mass as size
+            slopes["parts"] = slopes["place"][..., :2]
+            sizes["parts"] = torch.full((2,), offset * float(np.linalg.norm(size / size.sum())))
+        covariance = lift_covariance(shape, windows, slopes, sizes, errors, float(body[0]))
+        rows = slopes["body"].flatten(0, 1).numpy()
+        found.append(compressed_rows(rows, np.concatenate([w.wrench for w in windows]), covariance))
+    return joined(found)

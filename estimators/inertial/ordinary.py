@@ -19,8 +19,7 @@ def least_squares_inertia(equations: InertialEquations, seed: int = 0) -> Inerti
         equations: equations of the body.
         seed: seed of the draws.
     """
-    scale = np.linalg.norm(equations.rows, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = equations.scale
     inverse = np.linalg.pinv(equations.rows / scale, rcond=1e-6)
     seen = np.linalg.norm(inverse @ (equations.rows / scale) - np.eye(SIZE), axis=1) < UNSEEN
     solutions = (inverse @ np.vstack([equations.values, drawn_values(equations, seed)]).T).T / scale

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.inertial.body import InertialParameters
+from estimators.inertial.body import InertialParameters, steiner
 from estimators.inertial.semidefinite import Ellipsoid
 from testbed.objects.model import ObjectModel, ObjectShape, Solid
 
@@ -51,6 +51,4 @@ def _of_solid(solid: Solid) -> InertialParameters:
     second /= 20
     about = np.trace(second) * np.eye(3) - second
     center = volume @ sums / 4 / solid.mass
-    return InertialParameters(
-        solid.mass, center, about - solid.mass * (center @ center * np.eye(3) - np.outer(center, center))
-    )
+    return InertialParameters(solid.mass, center, about - solid.mass * steiner(center))

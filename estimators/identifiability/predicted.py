@@ -108,27 +108,13 @@ def predicted_pushes(
         if len(motion.time_s) < 2:
             continue
         kept = within_contact(motion.time_s, push.pace)[:-1]  # each stands for the step after it
-        camera, met = (
-            _stream(motion.time_s, motion.poses, sensing.camera),
-            BEFORE_PUSH + RAMP_TIME / 2 + push.gap / push.speed,
-        )
+        camera = _stream(motion.time_s, motion.poses, sensing.camera)
+        met = BEFORE_PUSH + RAMP_TIME / 2 + push.gap / push.speed
         within = (push.pace * BEGIN / 2, float(motion.time_s[-1]))
         for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within, push.pace):
-            begin, end = motion.time_s[kept[part[[0, -1]]]] + met
-            found.append(
-                Planned(
-                    index,
-                    False,
-                    None,
-                    seen["point"],
-                    np.array([begin, end]),
-                    seen["twists"],
-                    seen["acceleration"],
-                    seen["spin_square"],
-                    seen["poses"],
-                    seen=seen["seen"],
-                )
-            )
+            since_tare = motion.time_s[kept[part[[0, -1]]]] + met
+            fields = {name: seen[name] for name in ("point", "twists", "acceleration", "spin_square", "poses", "seen")}
+            found.append(Planned(index, False, None, since_tare=since_tare, **fields))
     return _observations(shape, found, sensing, setup, None) if found else None
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, record
+from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, motion, record
 from testbed.actions.base import TableAction
 from testbed.frames import cross_2d, move_wrench, perpendicular, pose_from_point, rotate_wrench, rotation_2d
 from testbed.objects.blocks import parse_layout
@@ -217,7 +217,8 @@ def flawed_trial(
     turn = rotation_2d(angle + draw.tcp_angle)
     lever = (feet.position - grasp.position) @ turn.T + offset  # from the TCP, in the stated axes
     to_com = turn @ (obj.center_of_mass - grasp.position) + offset
-    time, yaw, spin, alpha, segment = motion(action, rate)
+    yaw, spin, alpha, segment = motion(action, rate)
+    time = np.arange(len(yaw)) / rate
     yaw0 = rng.uniform(-0.3, 0.3)
     yaw = yaw + yaw0
     arm = rotation_2d(yaw) @ (grasp.position - action.center(shape))
@@ -277,18 +278,6 @@ def flawed_trial(
         setup=setup,
         **values,
     )
-
-
-def motion(action: TableAction, rate: float = RATE) -> tuple[np.ndarray, ...]:
-    """Time, yaw, turn rate, its slope and the steady stretch at every sample."""
-    parts, begin = [], 0.0
-    for segment, (speed, slope, seconds) in enumerate(action.steady):
-        time = np.arange(round(seconds * rate)) / rate
-        yaw, same = begin + speed * time + slope * time**2 / 2, np.ones(len(time))
-        parts.append(np.stack([yaw, speed + slope * time, slope * same, segment * same]))
-        begin += speed * seconds + slope * seconds**2 / 2
-    yaw, spin, alpha, segment = np.concatenate(parts, axis=1)
-    return np.arange(len(yaw)) / rate, yaw, spin, alpha, segment.astype(int)
 
 
 def drawn(index: int, seed: int, pattern: str, blocks: tuple[int, int] = (4, 8), least_grasps: int = 3) -> ObjectModel:

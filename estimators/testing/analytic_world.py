@@ -84,7 +84,7 @@ def analytic_trial(
     """
     shape = obj.shape
     grasp = shape.grasps[action.grasp].position
-    along, rate, rate_slope, segment = _motion(action)
+    along, rate, rate_slope, segment = motion(action, same_places=True)
     count = len(along)
     if not action.turns:
         heading = action.heading
@@ -183,17 +183,20 @@ def _drawn(seed: int, layout: tuple[str, ...], friction_groups: int) -> ObjectMo
     )
 
 
-def _motion(action: TableAction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Distance along the path, its rate and slope, and the steady stretch, at every sample."""
+def motion(action: TableAction, rate: float = RATE, *, same_places: bool = False) -> tuple[np.ndarray, ...]:
+    """Distance along the path, its rate and slope, and the steady stretch, at every sample.
+
+    A way back begins where the way there ends, or has its samples at the `same_places`.
+    """
     parts, begin = [], 0.0
     for segment, (speed, slope, seconds) in enumerate(action.steady):
-        back = speed * action.steady[0].speed < 0  # at the samples of the way there
-        time = (np.arange(round(seconds * RATE)) + back) / RATE
-        along, rate = begin + speed * time + slope * time**2 / 2, speed + slope * time
-        parts.append(np.stack([along, rate, np.full(len(time), slope), np.full(len(time), segment)]))
+        back = same_places and speed * action.steady[0].speed < 0
+        time = (np.arange(round(seconds * rate)) + back) / rate
+        along, same = begin + speed * time + slope * time**2 / 2, np.ones(len(time))
+        parts.append(np.stack([along, speed + slope * time, slope * same, segment * same]))
         begin += speed * seconds + slope * seconds**2 / 2
-    along, rate, slope, segment = np.concatenate(parts, axis=1)
-    return along, rate, slope, segment.astype(int)
+    along, pace, slope, segment = np.concatenate(parts, axis=1)
+    return along, pace, slope, segment.astype(int)
 
 
 def own_weight_loads(obj: ObjectModel) -> np.ndarray:

@@ -45,10 +45,6 @@ class AffineLoads:
         per_mass = vmap(loads, out_dims=-1)(ones + torch.diag(ones)) - base[..., None]
         return AffineLoads(per_mass, base - per_mass.sum(-1))
 
-    def where(self, keep: Tensor) -> AffineLoads:
-        """Loads in windows that `keep` (K,) selects."""
-        return AffineLoads(self.per_mass[keep], self.carried[keep])
-
     @staticmethod
     def stacked(draws: Sequence[AffineLoads]) -> AffineLoads:
         """Loads of D draws, for candidates (D, S, n_m)."""

@@ -176,14 +176,13 @@ def velocity_errors(trials: TrialWindows, H: Inertia, s: Float[Tensor, "... n_s"
 
     A turn with its center in the held particle's cell is one about that particle, which stands still, as in the paper.
     """
-    model, turns, groups = trials.model, trials.steady, trials.groups
+    model, turns = trials.model, trials.steady
     spin, held = turns.twist[:, 2:], turns.twist[:, :2]
     held = torch.where(held.norm(dim=1, keepdim=True) < model.cell / 2 * spin.abs(), 0.0, held)
     linear = held + spin * turned(H.com - turns.grasp)
     p_t = torch.cat([H.com, torch.zeros(1, dtype=torch.float64)]).expand(len(turns), 3)
     v_t, measured = torch.cat([linear, spin], 1), torch.cat([rotate(spin[:, 0] * DT, linear), spin], 1)
-    friction = torch.where(groups.index >= 0, s[..., groups.index], 0.0)[..., None, :]  # G_s^T s
-    a_t = acceleration(model, H, friction, p_t, v_t, turns.wrench, turns.grasp)
+    a_t = acceleration(model, H, trials.groups.spread(s)[..., None, :], p_t, v_t, turns.wrench, turns.grasp)
     return step(p_t, v_t, a_t, DT)[1] - measured
 
 

@@ -37,9 +37,9 @@ class LoadGroups:
         out = torch.zeros(*values.shape[:-1], len(self.pairs), dtype=values.dtype)
         return out.index_add(-1, self.index[kept], values[..., kept])
 
-    def spread(self, s: Float[np.ndarray, "n_s"]) -> Float[Tensor, "P"]:
+    def spread(self, s: Float[np.ndarray, "... n_s"] | Float[Tensor, "... n_s"]) -> Float[Tensor, "... P"]:
         """Friction load of each particle, G_s^T s, N; 0 without contact."""
-        return torch.where(self.index >= 0, torch.tensor(s)[self.index.clamp(min=0)], 0.0)
+        return torch.where(self.index >= 0, torch.as_tensor(s)[..., self.index.clamp(min=0)], 0.0)
 
 
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:

@@ -15,7 +15,7 @@ from estimators.base import Estimate, Trace, weighed
 from estimators.descent import OPTIMIZERS, check_optimizers
 from estimators.hidden_states.algorithm import Solution, algorithm_1
 from estimators.hidden_states.equations import LinearSystem
-from estimators.hidden_states.friction import closed_form, contradiction, descend_loads
+from estimators.hidden_states.friction import CONTRADICTORY, closed_form, descend_loads
 from estimators.hidden_states.masses import PivotInertia, fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
@@ -147,7 +147,11 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     """Estimate of the last round, with its covariance, or the reason why there is none."""
     system, s = found.Q_s_b, found.H.friction_load
     loss = system.loss(s)
-    if why := contradiction(loss):
+    if loss > CONTRADICTORY:
+        why = (
+            f"the trajectories contradict each other: their mean squared misfit is {loss:.0f} where about 1 is "
+            "expected; is a trial of another object among them, or one with its signs turned?"
+        )
         return Estimate(None, "contradictory", why)
     at, count = _settled(trials, found), trials.shape.particles_per_group
     report = _report(trials, system, found.I_j, at)

@@ -18,16 +18,6 @@ It is about 1 on own weight and up to 2e4 under one rigid body; a trial with its
 """
 
 
-def contradiction(loss: float) -> str:
-    """Reason why data with that least loss cannot be trusted; empty where they can."""
-    if loss <= CONTRADICTORY:
-        return ""
-    return (
-        f"the trajectories contradict each other: their mean squared misfit is {loss:.0f} where about 1 is expected; "
-        "is a trial of another object among them, or one with its signs turned?"
-    )
-
-
 def closed_form(system: LinearSystem) -> Float[np.ndarray, "n_s"]:
     """Non-negative least squares: the exact minimum of Eq. problem_si over s >= 0."""
     return nnls(system.q.numpy(), system.b.numpy())[0]

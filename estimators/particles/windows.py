@@ -103,16 +103,6 @@ class Observations(Motion):
         return self.noise[:, PLANAR][:, :, PLANAR]
 
     @property
-    def trial_mean(self) -> Float[Tensor, "K K"]:
-        """Map from values to the means over their trials."""
-        return self.together / self.together.sum(1, keepdim=True)
-
-    @property
-    def trial_change(self) -> Float[Tensor, "K K"]:
-        """Map from values to their differences from the means over their trials."""
-        return torch.eye(len(self), dtype=torch.float64) - self.trial_mean
-
-    @property
     def together(self) -> Float[Tensor, "K K"]:
         """1 for windows of the same trial."""
         return (self.trial[:, None] == self.trial).double()
@@ -253,7 +243,9 @@ class Observations(Motion):
         moved = height / 2 * table.motion(mass)[:, :2]
         # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
-        swung = kept * (self.trial_mean @ moved) + followed * (self.trial_change @ moved)
+        mean = self.together / self.together.sum(1, keepdim=True)  # over the windows of each trial
+        change = torch.eye(len(self), dtype=torch.float64) - mean
+        swung = kept * (mean @ moved) + followed * (change @ moved)
         taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)
         balanced = self.articulated and bool(self.setup.contact_points)
         return GripperLoad(self.lift, self.tilt - taken, self.held, table.lever, balanced)

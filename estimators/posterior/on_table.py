@@ -217,16 +217,14 @@ class OnTable:
     def _errors(self, theta: Theta) -> TableErrors:
         """Errors of the rows at some masses and frictions; the last ones are kept."""
         at = torch.cat([theta["friction"], theta["mass"]])
-        if self._last and torch.equal(self._last[0][0], at):
-            return self._last[0][1]
-        self._last[:] = [(at, found := self._errors_at(theta))]
-        return found
-
-    def _errors_at(self, theta: Theta) -> TableErrors:
-        model = self.table.model
-        drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
-        drag = drag * (LEAST_DRAG * self.windows.drag / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)).clamp(min=1.0)
-        return TableErrors.of(self.windows, self.middles, model.particle_mass(theta["mass"]), drag, self.errors)
+        if not (self._last and torch.equal(self._last[0][0], at)):
+            model = self.table.model
+            mass = model.particle_mass(theta["mass"])
+            drag = model.particle_friction(theta["friction"]) * (self.table.windows["per_mass"] @ theta["mass"])
+            least = LEAST_DRAG * self.windows.drag / drag.sum(-1, keepdim=True).clamp(min=SMALLEST)
+            drag = drag * least.clamp(min=1.0)
+            self._last[:] = [(at, TableErrors.of(self.windows, self.middles, mass, drag, self.errors))]
+        return self._last[0][1]
 
     def _rows(self, theta: Theta, own: Theta) -> tuple[Float[Tensor, "K 6+H"], Float[Tensor, "K 6+H 3"]]:
         """Rows of a gripper that carries nothing, and their derivatives in its lift and moment."""

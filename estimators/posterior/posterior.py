@@ -393,7 +393,9 @@ class Posterior:
         if misfit.explains and not open_ and (loose := loose_groups(shape, at.mass, covariance)):
             open_, directions = True, f"hardly known: {', '.join(loose)}"
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
-        hinges, unseen = self._hinges(misfit.widening**0.5)
+        widening = misfit.widening**0.5
+        frictions = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
+        hinges, unseen = self._hinges(widening)
         named = "" if misfit.explains else self.named.sentence
         status = "underdetermined" if open_ else misfit.status if self.optimum.converged else "not_converged"
         return Estimate(
@@ -404,7 +406,7 @@ class Posterior:
             identifiability=report,
             diagnostics={
                 **misfit.diagnostics,
-                **self._frictions(misfit.widening**0.5),
+                **frictions,
                 **hinges,
                 **self.nuisances(),
                 "rounds": float(self.optimum.rounds),
@@ -455,10 +457,6 @@ class Posterior:
                 of = "_".join([name, *map(str, place)])
                 found |= {of: value, f"{of}_std": std}
         return found
-
-    def _frictions(self, widening: float) -> dict[str, float]:
-        """Standard deviations of the frictions."""
-        return {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
 
     def _hinges(self, widening: float) -> tuple[dict[str, float], str]:
         """Friction of every hinge that turns, with its error, N m; and the others, in words."""

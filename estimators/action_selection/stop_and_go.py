@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from estimators.action_selection.pushes import untried
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
@@ -36,7 +37,6 @@ class StopAndGo:
                 return action
         if sum(t.ok for t in lifts) >= self.lifts:
             return None
-        tried = {*self.refused, *(t.action for t in lifts)}
         grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         inner = sorted(grasps, key=lambda g: float(np.linalg.norm(shape.grasps[g].position)))
-        return next((lift for g in inner if (lift := Lift.stop_and_go(g)) not in tried), None)
+        return untried([Lift.stop_and_go(g) for g in inner], self.refused, lifts)

@@ -109,7 +109,6 @@ class _Adam:
 
     def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
         """The next points (D, n) after `slope` (D, n) and `value` (D,) at `points`, its step `part` of the first."""
-        del value
         self._steps += 1
         self._mean += 0.1 * (slope - self._mean)
         self._square = 0.999 * self._square + 0.001 * slope * slope
@@ -125,7 +124,6 @@ class _RmsProp:
 
     def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
         """As in `_Adam`."""
-        del value
         self._square = 0.99 * self._square + 0.01 * slope * slope
         return points - self._rate * part * slope / (np.sqrt(self._square) + 1e-8)
 
@@ -139,7 +137,6 @@ class _Plain:
 
     def step(self, points: np.ndarray, slope: np.ndarray, value: np.ndarray, part: float) -> np.ndarray:
         """As in `_Adam`; its rate is its own."""
-        del part
         fell = value[:, None] <= self._lowest
         self._lowest = np.where(fell, value[:, None], self._lowest)
         self._from, self._slope = np.where(fell, points, self._from), np.where(fell, slope, self._slope)

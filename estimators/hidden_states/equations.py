@@ -73,11 +73,7 @@ class FrictionEquations:
 
     @staticmethod
     def about(
-        on_table: OnTable,
-        weight: float,
-        at: MassDistribution,
-        errors: ModelErrors,
-        off: Theta | None = None,
+        on_table: OnTable, weight: float, at: MassDistribution, errors: ModelErrors, off: Theta | None = None
     ) -> FrictionEquations:
         """Equations about a guess of masses and frictions, which scale the errors and the effect of the gripper's load.
 

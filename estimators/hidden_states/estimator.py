@@ -169,12 +169,6 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
         hidden=found.H,
         identifiability=report,
         traces=found.traces,
-        diagnostics={
-            "rank": q.shape[1],
-            "condition": condition,
-            "loss": loss,
-            **misfit.diagnostics,
-            **hinges,
-        },
+        diagnostics={"rank": q.shape[1], "condition": condition, "loss": loss, **misfit.diagnostics, **hinges},
         assumes=ASSUMPTION["own_weight"],
     )

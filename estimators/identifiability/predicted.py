@@ -83,11 +83,7 @@ def predicted_windows(
 
 
 def predicted_pushes(
-    shape: ObjectShape,
-    drag: Drag,
-    actions: Sequence[Action],
-    sensing: Sensing,
-    setup: SetupErrors = EXACT_SETUP,
+    shape: ObjectShape, drag: Drag, actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
 ) -> Observations | None:
     """Windows of the pushes, as `predicted_windows`, of an object that moves as its drag lets it; None without any.
 

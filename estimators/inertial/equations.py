@@ -44,12 +44,7 @@ class HeldMotion:
     def __post_init__(self) -> None:
         count = len(self.time_s)
         freeze_arrays(
-            self,
-            time_s=(None,),
-            pull=(count, 3),
-            rate=(count, 3),
-            angular_acceleration=(count, 3),
-            wrench=(count, 6),
+            self, time_s=(None,), pull=(count, 3), rate=(count, 3), angular_acceleration=(count, 3), wrench=(count, 6)
         )
         if count < 2 or not (np.diff(self.time_s) > 0).all():
             raise InvalidValueError("HeldMotion.time_s", f"{count} samples", "two or more, their times rising, s")
@@ -88,9 +83,7 @@ class InertialEquations:
 
 
 def regressor(
-    pull: Float[np.ndarray, "T 3"],
-    angular_acceleration: Float[np.ndarray, "T 3"],
-    products: Float[np.ndarray, "T 3 3"],
+    pull: Float[np.ndarray, "T 3"], angular_acceleration: Float[np.ndarray, "T 3"], products: Float[np.ndarray, "T 3 3"]
 ) -> Float[np.ndarray, "T 6 10"]:
     """Wrench of each inertial parameter alone (Atkeson, An, Hollerbach 1986).
 

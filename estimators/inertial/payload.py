@@ -128,10 +128,5 @@ def as_kortex(payload: Payload) -> str:
     return json.dumps({"tool_mass": payload.parameters.mass, "tool_mass_center": center}, indent=1) + "\n"
 
 
-FORMATS: dict[str, Callable[[Payload], str]] = {
-    "json": as_json,
-    "franka": as_franka,
-    "ur": as_ur,
-    "kortex": as_kortex,
-}
+FORMATS: dict[str, Callable[[Payload], str]] = {"json": as_json, "franka": as_franka, "ur": as_ur, "kortex": as_kortex}
 """Forms of a payload, by the robot whose controller takes it."""

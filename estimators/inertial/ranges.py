@@ -18,10 +18,7 @@ LEVELS = 3
 
 
 def part_ranges(
-    equations: InertialEquations,
-    places: Float[np.ndarray, "P 3"],
-    part: Int[np.ndarray, "P"],
-    level: float = 0.9,
+    equations: InertialEquations, places: Float[np.ndarray, "P 3"], part: Int[np.ndarray, "P"], level: float = 0.9
 ) -> Float[np.ndarray, "n 2"]:
     """Least and most mass of each part, kg, whatever its density, by its profile likelihood (a cone program).
 

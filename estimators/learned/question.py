@@ -170,9 +170,7 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     )
 
 
-def _planar(
-    equations: FrictionEquations,
-) -> tuple[Float[Tensor, "W 3 G"], Float[Tensor, "W 3"], Float[Tensor, "W 3"]]:
+def _planar(equations: FrictionEquations) -> tuple[Float[Tensor, "W 3 G"], Float[Tensor, "W 3"], Float[Tensor, "W 3"]]:
     """Planar rows of the equations given the others, which show the gripper's load: q, b and its standard errors."""
     count, rows = equations.b.shape
     precision = torch.linalg.inv(equations.covariance_with(*equations.wide))

@@ -81,10 +81,7 @@ class WrenchModel:
 
     @staticmethod
     def by_rows(
-        model: ParticleModel,
-        inertial: Float[Tensor, "K r n_m"],
-        rows: Float[Tensor, "K r P"],
-        loads: AffineLoads,
+        model: ParticleModel, inertial: Float[Tensor, "K r n_m"], rows: Float[Tensor, "K r P"], loads: AffineLoads
     ) -> WrenchModel:
         """The model by its rows a kg of each particle mass, and those of a friction of 1 N of each particle."""
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]

@@ -35,13 +35,7 @@ RADIUS = 1.5
 
 
 def priors(
-    shape: ObjectShape,
-    setup: SetupErrors,
-    errors: ModelErrors,
-    weight: float,
-    trials: int,
-    *,
-    joined: bool = False,
+    shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: float, trials: int, *, joined: bool = False
 ) -> Unknowns:
     """Unknowns of an object: masses, frictions, and every error of the setup and of the model that is not 0.
 

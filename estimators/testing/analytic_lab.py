@@ -199,12 +199,7 @@ def departure(
 
 
 def flawed_trial(
-    obj: ObjectModel,
-    action: TableAction,
-    feet: Contacts,
-    draw: Draw,
-    rng: np.random.Generator,
-    rate: float = RATE,
+    obj: ObjectModel, action: TableAction, feet: Contacts, draw: Draw, rng: np.random.Generator, rate: float = RATE
 ) -> Trajectory:
     """Record of one action in a drawn world, as if nothing were wrong.
 

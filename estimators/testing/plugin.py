@@ -42,9 +42,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--estimator-small", action="store_true", help="hold the rules against small objects, where it takes long"
     )
     group.addoption(
-        "--estimator-thorough",
-        action="store_true",
-        help="every block under every sensor, not under one or two of them",
+        "--estimator-thorough", action="store_true", help="every block under every sensor, not under one or two of them"
     )
 
 

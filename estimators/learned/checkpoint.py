@@ -6,7 +6,7 @@ import io
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -85,8 +85,7 @@ class Checkpoint:
 
     def save(self, path: Path) -> None:
         """Write it whole."""
-        content = {each.name: getattr(self, each.name) for each in fields(self)} | {"origin": asdict(self.origin)}
-        write_tensors(path, content)
+        write_tensors(path, vars(self) | {"origin": asdict(self.origin)})
 
     @staticmethod
     def load(path: Path) -> Checkpoint:
@@ -101,7 +100,7 @@ class Checkpoint:
 
 def save_examples(path: Path, examples: Examples, seconds: float) -> None:
     """Write examples, and the CPU time that they took, s."""
-    write_tensors(path, {each.name: getattr(examples, each.name) for each in fields(examples)} | {"seconds": seconds})
+    write_tensors(path, vars(examples) | {"seconds": seconds})
 
 
 def make_part(path: Path, seed: int, objects: Sequence[int]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -57,23 +57,18 @@ class Examples:
         known = truths or [torch.zeros_like(question.first.mean) for question in questions]
         return Examples.joined([_alone(*each) for each in zip(questions, known, strict=True)])
 
-    @staticmethod
-    def from_fields(values: Sequence[Tensor]) -> Examples:
-        """Examples of the values of all fields."""
-        return Examples(**{each.name: value for each, value in zip(fields(Examples), values, strict=True)})
-
     def __len__(self) -> int:
         return len(self.mean)
 
     def __getitem__(self, index: Tensor | slice) -> Examples:
-        return Examples.from_fields([getattr(self, each.name)[index] for each in fields(self)])
+        return Examples(*(values[index] for values in vars(self).values()))
 
     @staticmethod
     def joined(parts: Sequence[Examples]) -> Examples:
         """Examples of several parts together."""
         most = max(p.mean.shape[1] for p in parts), max(p.windows.shape[1] for p in parts)
-        wide = [p._wider(*most) for p in parts]
-        return Examples.from_fields([torch.cat([getattr(p, each.name) for p in wide]) for each in fields(Examples)])
+        wide = [vars(p._wider(*most)) for p in parts]
+        return Examples(*(torch.cat([values[name] for values in wide]) for name in wide[0]))
 
     def turned(self, angle: Float[Tensor, "N"], mirrored: Bool[Tensor, "N"]) -> Examples:
         """The examples in axes turned by `angle`, rad, and mirrored; groups in their `order`."""
@@ -122,7 +117,7 @@ def _alone(question: Question, truth: Float[Tensor, "G"]) -> Examples:
     """One question with its truth."""
     first, there = question.first, [torch.ones(n, dtype=torch.bool) for n in question.edges.shape[1::-1]]
     values = question.center, first.mean, first.covariance, question.group, question.edges, question.summary
-    return Examples.from_fields([each[None] for each in (*values, *there, truth)])
+    return Examples(*(each[None] for each in (*values, *there, truth)))
 
 
 def fixed_axes(count: int) -> tuple[Float[Tensor, "N"], Bool[Tensor, "N"]]:

@@ -1,4 +1,4 @@
-"""Estimate of a body's inertial parameters, with draws by which any quantity of them has an interval."""
+"""Estimate of a body's inertial parameters, with draws by which any quantity has an interval; and by least squares."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from testbed.validation import frozen_array
 
 DRAWS = 400
 """Draws of an estimate."""
+UNSEEN = 1e-6
+"""Part of a parameter outside what the equations show above which it is not seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +57,26 @@ def drawn_values(equations: InertialEquations, seed: int, widening: float = 1.0)
     """
     noise = np.random.default_rng(seed).standard_normal((DRAWS, len(equations.values)))
     return equations.values + np.sqrt(max(equations.misfit, widening, 1.0)) * noise
+
+
+def least_squares_inertia(equations: InertialEquations, seed: int = 0) -> InertialEstimate:
+    """The parameters that fit best, physical or not; those that the motion does not show are NaN.
+
+    As Atkeson, An and Hollerbach (1986) fit them, weighed by the sensor's errors.
+
+    Args:
+        equations: equations of the body.
+        seed: seed of the draws.
+    """
+    scale = equations.scale
+    inverse = np.linalg.pinv(equations.rows / scale, rcond=1e-6)
+    seen = np.linalg.norm(inverse @ (equations.rows / scale) - np.eye(SIZE), axis=1) < UNSEEN
+    solutions = (inverse @ np.vstack([equations.values, drawn_values(equations, seed)]).T).T / scale
+    solutions = np.where(seen, solutions, np.nan)
+    best = InertialParameters.of_vector(solutions[0])
+    message = ""
+    if not seen.all():
+        message = "the motion does not show all of the inertia: accelerate about three axes"
+    elif not best.consistent:
+        message = "no body of positive density has these parameters"
+    return InertialEstimate(best, solutions[1:], equations.misfit, message)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, get_args
 
 import torch
 
@@ -17,12 +17,10 @@ from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import SupportModel
 from testbed.errors import InvalidValueError
 from testbed.objects.model import MassDistribution, ObjectModel
-from testbed.trial import OWN_WEIGHT, RIGID
+from testbed.trial import parse_support
 
 if TYPE_CHECKING:  # MuJoCo and its toolbox take a second to import: only this method waits for them
     from testbed.simulation.planar_sysid import PlanarMotion
-
-SUPPORTS = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,8 @@ class MujocoSysid(Peer):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.support not in SUPPORTS:
-            raise InvalidValueError("MujocoSysid.support", self.support, f"one of {', '.join(SUPPORTS)}")
+        if self.support not in (supports := get_args(SupportModel)):
+            raise InvalidValueError("MujocoSysid.support", self.support, f"one of {', '.join(supports)}")
         if self.weighting != "covariance":
             raise InvalidValueError("MujocoSysid.weighting", self.weighting, "covariance: it fits wrenches")
 
@@ -73,7 +71,7 @@ class MujocoSysid(Peer):
         wrench = windows.wrench.numpy()
         weighing = Weighing.of(shape, ModelErrors.weight_error, windows.setup)
         measured = PlanarData(motion_of(windows), wrench, whiten, problem.weight, weighing.error)
-        found = identify(guess, SUPPORTS[self.support], measured, self.iterations)
+        found = identify(guess, parse_support(self.support), measured, self.iterations)
         count = shape.particles_per_group
         at = MassDistribution(found.group_mass / count, found.friction)
         trace = Trace("mujoco_sysid", tuple(found.losses), tuple(found.seconds), 0.0, found.masses / count)

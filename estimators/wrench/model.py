@@ -71,16 +71,7 @@ class ModelErrors:
         return np.array([self.lift_error, self.tilt_error, self.tilt_error])
 
 
-EXACT = ModelErrors(
-    pivot_error=0.0,
-    force_error=0.0,
-    torque_error=0.0,
-    height_error=0.0,
-    lift_error=0.0,
-    tilt_error=0.0,
-    lead_error=0.0,
-    inertia_error=0.0,
-)
+EXACT = ModelErrors(**{field.name: 0.0 for field in fields(ModelErrors) if field.name != "weight_error"})
 """Errors of a perfect model: the weighing's alone."""
 MODEL_PARAMETERS = {name.removesuffix("_error"): described for name, described in parameters_of(ModelErrors).items()}
 """Parameters of the model that err, by the names of their unknowns in the forward model."""

@@ -8,10 +8,9 @@ the same errors: of a motion (`inertial_equations`), or of trials with lifts (`l
 from estimators.inertial.body import InertialParameters, pseudo_inertia
 from estimators.inertial.equations import HeldMotion, InertialEquations, inertial_equations, joined
 from estimators.inertial.estimate import InertialEstimate, least_squares_inertia
-from estimators.inertial.homogeneous import homogeneous_parts
 from estimators.inertial.lifts import lift_equations
+from estimators.inertial.part_masses import homogeneous_parts, part_ranges, places_of
 from estimators.inertial.parts import column_parts, ellipsoid_of, solid_parts, true_body
-from estimators.inertial.ranges import part_ranges, places_of
 from estimators.inertial.semidefinite import Ellipsoid, consistent_inertia
 
 __all__ = [

@@ -16,8 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from shared import head_table
 
-from estimators.action_selection.drags import RandomDrags
-from estimators.action_selection.pushes import RandomPushes
+from estimators.action_selection.random import RandomDrags, RandomPushes
 from estimators.action_selection.rank import between_particles
 from estimators.base import ActionPolicy
 from estimators.hidden_states.trial_windows import TrialWindows

@@ -20,7 +20,7 @@ from rich import box
 from shared import head_table, parser_of, show
 from stop_and_go import judged
 
-from estimators.action_selection.pushes import RandomPushes
+from estimators.action_selection.random import RandomPushes
 from estimators.base import ActionPolicy, Estimate
 from estimators.evaluation.statistics import NINETY
 from estimators.inertial import (

@@ -11,11 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import ASSUMED_SUPPORTS, Guess
-from estimators.action_selection.drags import RandomDrags
 from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.pushes import RandomPushes
+from estimators.action_selection.random import RandomDrags, RandomPushes
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from estimators.action_selection.pushes import random_pushes
+from estimators.action_selection.random import random_pushes
 from testbed.actions.accelerate import Accelerate
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimators.action_selection.pushes import untried
+from estimators.action_selection.random import untried
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift

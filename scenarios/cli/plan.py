@@ -125,8 +125,7 @@ def actions_of(
     Raises:
         InvalidValueError: a grasp that the object does not have, or a count that is not allowed.
     """
-    from estimators.action_selection.drags import random_drags
-    from estimators.action_selection.pushes import random_pushes
+    from estimators.action_selection.random import random_drags, random_pushes
     from estimators.action_selection.rank import RankDriven
     from testbed.actions.lift import Lift
     from testbed.actions.slide import Slide

@@ -16,7 +16,7 @@ from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import NORMAL_MEAN, Belief, Design, Guess, prior_belief, steady
 from estimators.action_selection.greedy import PlannedPolicy, batch_plan, greedy_plan
 from estimators.action_selection.plan import FeasibilityLog, Goal, Plan
-from estimators.action_selection.pushes import random_pushes
+from estimators.action_selection.random import random_pushes
 from estimators.action_selection.trained import SHIPPED, TrainedIndex, TrainedPolicy
 from estimators.identifiability.information import Assumptions, expected, predicted_information, prior_information
 from estimators.identifiability.predicted import predicted_lift, predicted_windows

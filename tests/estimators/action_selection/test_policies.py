@@ -12,7 +12,7 @@ from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import NORMAL_MEAN, Guess
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.pushes import TRIES, RandomPushes, random_pushes
+from estimators.action_selection.random import TRIES, RandomPushes, random_pushes
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, held_out_grasp, predicted_rank
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.testing.analytic_world import analytic_trial, drawn_object, record

@@ -12,9 +12,8 @@ from numpy.testing import assert_allclose
 from estimators import HiddenStates, OnlinePolicy, PlannedPolicy
 from estimators.action_selection.candidates import MOST_DRAGS, ActionFamily
 from estimators.action_selection.design import Guess
-from estimators.action_selection.drags import random_drags
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.pushes import random_pushes
+from estimators.action_selection.random import random_drags, random_pushes
 from estimators.action_selection.rank import between_particles
 from estimators.identifiability.information import (
     Assumptions,

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 from estimators import METHODS, Estimate, HiddenStates, build_method
-from estimators.action_selection.drags import RandomDrags
+from estimators.action_selection.random import RandomDrags
 from estimators.evaluation.metrics import hinge_columns
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.predicted import predicted_windows

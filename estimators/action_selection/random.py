@@ -1,4 +1,8 @@
-"""Random pushes as a policy: faces, points and directions as published for pushed objects; alone, or after turns."""
+"""Random actions as policies.
+
+Pushes of faces, points and directions as published for pushed objects, alone or after turns. Slides and turns of an
+object in links, whose other links trail behind the one in the hand.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,8 @@ from estimators.action_selection.rank import sees_every_load
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.push import Push
+from testbed.actions.rotate import Rotate
+from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
@@ -25,7 +31,9 @@ CURVED = 3.0
 EDGE = 0.05
 """Part of a face at either end that is left alone: the fingertip would soon slide off."""
 TRIES = 5
-"""Pushes tried, refused ones and failures among them, for each that is asked for."""
+"""Actions tried, refused ones and failures among them, for each that is asked for."""
+BESIDE = 0.03
+"""Greatest distance of the center of a turn from the grasp, along each axis [m]."""
 
 
 @dataclass(frozen=True)
@@ -76,4 +84,40 @@ def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:
         face = every[rng.choice(len(every), p=share / share.sum())]
         part, angle, curvature = rng.uniform(EDGE, 1 - EDGE), rng.uniform(-AIM, AIM), rng.uniform(-CURVED, CURVED)
         found.append(Push.into(face, part, angle, curvature))
+    return found
+
+
+@dataclass(frozen=True)
+class RandomDrags:
+    """Slides and turns at constant speed by random grasps, in random directions and about random points beside them."""
+
+    drags: int = 8
+    """Slides and turns that end well, every other one a turn."""
+    grasps: tuple[int, ...] | None = None
+    """Allowed grasps; None is all."""
+    seed: int = 0
+    """Seed of the draws."""
+    refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
+    """Actions that the bench refused, and why; grows as trials are made."""
+
+    def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
+        """Next slide or turn; None when done."""
+        if sum(t.ok for t in trajectories) >= self.drags:
+            return None
+        grasps = tuple(range(len(shape.grasps))) if self.grasps is None else self.grasps
+        return untried(random_drags(shape, grasps, TRIES * self.drags, self.seed), self.refused, trajectories)
+
+
+def random_drags(shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> list[Slide | Rotate]:
+    """Random slides and turns: the first ones of a longer list are the same."""
+    rng = np.random.default_rng(seed)
+    found: list[Slide | Rotate] = []
+    for index in range(count):
+        grasp = int(rng.choice(grasps))
+        way, beside = float(rng.uniform(-math.pi, math.pi)), rng.uniform(-BESIDE, BESIDE, 2)
+        if index % 2 == 0:
+            found.append(Slide(grasp, way))
+            continue
+        x, y = shape.grasps[grasp].position + beside
+        found.append(Rotate(grasp, math.copysign(Rotate.speed, way), 9.0, (float(x), float(y))))
     return found

@@ -55,8 +55,13 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         answer = _said(answer, why)
     numbers, found = answer.diagnostics, None
     if math.isnan(stated := numbers.get("misfit", math.nan)):
-        named: list[JoinedSupport] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
-        each = [_measured(support, shape, weight, trajectories, at) for support in named or get_args(SupportModel)]
+        supports: list[JoinedSupport] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
+        supports = supports or list(get_args(SupportModel))
+        if not shape.stands_in_groups:
+            supports = [support for support in supports if support == "rigid"]
+        if shape.chain is not None:
+            supports = [support for support in supports if support == "own_weight"]
+        each = [misfit_on(support, shape, weight, trajectories, at) for support in supports]
         found = min(filter(None, each), key=lambda misfit: misfit.value, default=None)
         answer = replace(answer, diagnostics=numbers | (found.diagnostics if found else {}))
     else:
@@ -102,20 +107,6 @@ def _not_the_weight(mass: Float[np.ndarray, "n_m"], shape: ObjectShape, weight: 
     of_groups = weight is not None and abs(float(mass.sum()) / weight - 1) < ABOUT
     hint = ": these are masses of groups, where the mean mass of a particle of each is due" if of_groups else ""
     return f"the masses of all particles add up to {times:.3g} times the weight{hint}"
-
-
-def _measured(
-    support: JoinedSupport,
-    shape: ObjectShape,
-    weight: float | None,
-    trajectories: Sequence[Trajectory],
-    at: MassDistribution,
-) -> Misfit | None:
-    """Misfit of masses and frictions on one support; None on one that the object cannot have, or without windows."""
-    apart, linked = shape.stands_in_groups, shape.chain is not None
-    if (support != "rigid" and not apart) or (support != "own_weight" and linked):
-        return None
-    return misfit_on(support, shape, weight, trajectories, at)
 
 
 def misfit_on(

@@ -61,12 +61,12 @@ def priors(
         size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
         blocks[pattern] = Block.normal(size)
         if not model.stands_on_feet:
-            blocks["contact_radius"] = Block.normal(torch.tensor(RADIUS, dtype=torch.float64))
+            blocks["contact_radius"] = Block.normal(RADIUS)
     for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m, len(shape.feet)).items():
         blocks[name] = Block.normal(size, trials if PARAMETERS[name].scope == "trial" else None)
     for name in MODEL_PARAMETERS:
         if size := getattr(errors, f"{name}_error"):
-            blocks[name] = Block.normal(torch.tensor(size, dtype=torch.float64))
+            blocks[name] = Block.normal(size)
     if shape.is_uneven:  # matter that fills its cells in part may lie at any height in them
         blocks["com_height"] = Block.normal(torch.full((shape.n_m,), shape.height / 12**0.5, dtype=torch.float64))
     if joined:
@@ -74,10 +74,8 @@ def priors(
     if open_loads := contact_spread(model, model.parts.sum(0)).shape[1]:
         blocks["indeterminate_load"] = Block.normal(torch.ones(open_loads, dtype=torch.float64))
     if shape.chain is not None:
-        blocks["hinge_friction"] = Block.normal(
-            torch.full((len(shape.chain.hinges),), HINGE_PRIOR, dtype=torch.float64)
-        )
-        blocks["links_carried"] = Block.normal(torch.tensor(1.0, dtype=torch.float64))
+        hinges = torch.full((len(shape.chain.hinges),), HINGE_PRIOR, dtype=torch.float64)
+        blocks["hinge_friction"], blocks["links_carried"] = Block.normal(hinges), Block.normal(1.0)
     return Unknowns({name: block for name, block in blocks.items() if bool((block.std > 0).any())})
 
 

@@ -18,8 +18,6 @@ TOLERANCE = 0.1
 """Decrease of the cost, twice that of the negative log likelihood, by a step after which a solution has converged: that
 of a third of a standard error, of which the step leaves little."""
 LARGEST_DAMPING = 1e9
-
-
 Blocks = Sequence[tuple[Int[Tensor, "C r"], Float[Tensor, "C r r"]]]
 """Rows whose errors are correlated, and their covariance: C sets of equally many rows in each entry."""
 

@@ -43,7 +43,6 @@ SOFT = 0.2
 off by three errors. Ours."""
 NEARLY = 0.03
 """Difference of the share from 1 up to which a body counts as rigid: simulated ones have 0.97 to 1.02. Ours."""
-
 MOST = 1.5
 """Largest share that is printed: fits of trials that no support explains have any. Ours."""
 

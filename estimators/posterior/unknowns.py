@@ -57,8 +57,9 @@ class Block:
         return (self.std * self.value(z) if self.positive else self.std).flatten()
 
     @staticmethod
-    def normal(std: Tensor, trials: int | None = None) -> Block:
-        """Error of mean 0, one per trial where their number is given."""
+    def normal(size: Tensor | float, trials: int | None = None) -> Block:
+        """Error of mean 0 and a standard deviation, one per trial where their number is given."""
+        std = torch.as_tensor(size, dtype=torch.float64)
         std = std if trials is None else std.expand(trials, *std.shape)
         return Block(torch.zeros_like(std), std, by_trial=trials is not None)
 

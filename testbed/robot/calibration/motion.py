@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from testbed.actions.base import Action
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
-from testbed.robot.calibration.trial import Finding, check_trial
+from testbed.robot.calibration.trial import Finding, check_trial, judged
 from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import UNSTATED
@@ -88,9 +88,8 @@ def _heading(shape: ObjectShape, trial: Trajectory) -> Finding:
     """Finding on the direction of a slide, in the object's frame."""
     along, seen = trial.action.heading, steady_windows(trial)[0].twist[:2]
     off = float(np.arctan2(cross_2d(along, seen), along @ seen))
-    ok = abs(off) <= HEADING_ALLOWED
     text = f"{trial.action.describe(shape)}: it moves {np.degrees(off):+.0f} deg off that direction"
-    return Finding("heading", ok, off, text + ("" if ok else ": correct its direction, rad in the object's frame"))
+    return judged("heading", abs(off) <= HEADING_ALLOWED, off, text, "correct its direction, rad in the object's frame")
 
 
 def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> list[Finding]:
@@ -179,16 +178,16 @@ def _common(
         ok = abs(angle) <= allowed + SURE * np.linalg.norm([error, setup.tcp_angle, setup.grasp_angle, *held])
         text = f"by the centers of the turns the pads close {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off"
         off = float(np.degrees(angle))  # about the vertical; the hand's z axis points down
-        text += "" if ok else f": correct closing_deg by {-off:+.1f} (z axis that points up: {off:+.1f})"
-        findings.append(Finding("closing direction", bool(ok), angle, text))
+        why = f"correct closing_deg by {-off:+.1f} (z axis that points up: {off:+.1f})"
+        findings.append(judged("closing direction", ok, angle, text, why))
     if count > 2 or not findings:
         error, far = spread / count**0.5, float(np.linalg.norm(offset))
         allowed = TCP_EXACT if {"tcp_offset", "grasp_offset"} <= exact else TCP_ALLOWED
         ok = far <= allowed + SURE * np.linalg.norm([error, setup.tcp_offset, setup.grasp_offset])
         x, y = 1e3 * offset
         text = f"the centers lie ({x:+.1f}, {y:+.1f}) +- {1e3 * error:.1f} mm off, along the closing direction and left"
-        why = f": correct the TCP by ({x:+.1f}, {-y:+.1f}) mm, x as the pads close (z axis that points up: y {y:+.1f})"
-        findings.append(Finding("TCP", bool(ok), far, text + ("" if ok else why)))
+        why = f"correct the TCP by ({x:+.1f}, {-y:+.1f}) mm, x as the pads close (z axis that points up: y {y:+.1f})"
+        findings.append(judged("TCP", ok, far, text, why))
     return findings
 
 

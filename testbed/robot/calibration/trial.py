@@ -55,6 +55,11 @@ class Finding:
     """The finding in a sentence, with its remedy."""
 
 
+def judged(what: str, ok: bool, value: float, text: str, remedy: str) -> Finding:
+    """Finding whose sentence ends with the remedy if it is not as it should be."""
+    return Finding(what, bool(ok), value, text if ok else f"{text}: {remedy}")
+
+
 def check_trial(
     lift: Float[np.ndarray, "6"] | None,
     lift_covariance: Float[np.ndarray, "6 6"] | None,
@@ -108,13 +113,13 @@ def _of_lift(wrench: np.ndarray, covariance: np.ndarray, mass: float | None) -> 
         off, spread = weight / GRAVITY / mass - 1, error / GRAVITY / mass
         ok = abs(off) <= MASS_ALLOWED + TOO_UNSURE * spread
         text = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
-        findings.append(Finding("mass", ok, off, text + ("" if ok else ": check the gain by a known mass")))
+        findings.append(judged("mass", ok, off, text, "check the gain by a known mass"))
     tilt = float(np.arctan2(np.linalg.norm(wrench[:2]), weight))
     spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight)
     ok = tilt <= TILT_ALLOWED + TOO_UNSURE * spread
     text = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
-    why = "" if ok else ": the sensor's rotation is off, or something touched the object"
-    return [*findings, Finding("vertical", ok, tilt, text + why)]
+    findings.append(judged("vertical", ok, tilt, text, "the sensor's rotation is off, or something touched the object"))
+    return findings
 
 
 def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) -> Finding:
@@ -124,33 +129,29 @@ def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) ->
     ok = off <= LEVER_ALLOWED + TOO_UNSURE * error
     at = ", ".join(f"{1e3 * value:.1f}" for value in held)
     text = f"it hangs ({at}) mm from the TCP, {1e3 * off:.1f} +- {1e3 * error:.1f} mm from where it should"
-    why = "" if ok else ": the TCP's place in the sensor's frame is off, or the rotation about the tool's axis"
-    return Finding("lever arm", ok, off, text + why)
+    why = "the TCP's place in the sensor's frame is off, or the rotation about the tool's axis"
+    return judged("lever arm", ok, off, text, why)
 
 
 def _of_work(window: SteadyWindow) -> Finding:
     """Power of the gripper on the object: positive, since friction takes work out."""
     power = float(window.wrench[PLANAR] @ window.twist)
     error = float(np.sqrt(window.twist @ window.covariance[np.ix_(PLANAR, PLANAR)] @ window.twist))
-    ok = power > TOO_UNSURE * error
     kind = "slide" if abs(window.twist[2]) < SLIDING else f"turn at {np.degrees(window.twist[2]):+.0f} deg/s"
     text = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
-    if not ok:
-        wrong = power < -TOO_UNSURE * error
-        text += ": friction would have to push; sign or rotation is wrong" if wrong else ": too little to decide"
-    return Finding("friction", ok, power, text)
+    wrong = power < -TOO_UNSURE * error
+    why = "friction would have to push; sign or rotation is wrong" if wrong else "too little to decide"
+    return judged("friction", power > TOO_UNSURE * error, power, text, why)
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     flipping, staying = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
-    flips = max(float(abs(flipping)), 1e-9)
-    left = float(abs(staying)) / flips
+    left = float(abs(staying)) / max(float(abs(flipping)), 1e-9)
     tared = float(np.sqrt(there.bias_covariance[5, 5]))  # the error of its tare that the sensor states
     ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * math.hypot(error, tared)
     text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
-    why = "" if ok else ": a bias that the tare left, or a cable that pulls"
-    return Finding("there and back", bool(ok), left, text + why)
+    return judged("there and back", ok, left, text, "a bias that the tare left, or a cable that pulls")
 
 
 def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
@@ -164,5 +165,5 @@ def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     turn = f"{-np.degrees(angle):+.0f} deg about the vertical, {np.degrees(angle):+.0f} about a z axis that points down"
     against = "sign is the other one; else " if abs(angle) > _AGAINST else ""
-    why = "" if ok else f": {against}turn the sensor's rotation by {turn}, or two of its axes are exchanged"
-    return Finding("direction", ok, angle, text + why)
+    why = f"{against}turn the sensor's rotation by {turn}, or two of its axes are exchanged"
+    return judged("direction", ok, angle, text, why)

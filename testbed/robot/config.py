@@ -259,8 +259,7 @@ class RobotFile(Strict):
     def to_dict(self) -> dict[str, Any]:
         """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
         usual = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}
-        unused = {name for name, left in usual.items() if left}
-        tables = self.model_dump(exclude=unused)
+        tables = self.model_dump(exclude={name for name, left in usual.items() if left})
         for name in ("arm", "sensor", "gripper"):
             default = type(getattr(self, name))()
             for key in ("model", "settings", "stroke_m", "finger_width_m"):
@@ -324,7 +323,8 @@ class RobotFile(Strict):
         if not (math.hypot(x, y) <= _OFF_AXIS and 0 < z < self.sensor.to_tcp_m):
             allowed = f"a place between sensor and tool center point, at most {_OFF_AXIS} m off the axis, hand axes, m"
             raise InvalidValueError("calibration.tool_com_m", [x, y, z], allowed)
-        tool = calibration.tool(turn @ [0.0, 0.0, self.sensor.to_tcp_m], turn @ sheet.inertia @ turn.T)
+        tcp = turn @ [0.0, 0.0, self.sensor.to_tcp_m]
+        tool = Tool(mass, calibration.com, turn @ sheet.inertia @ turn.T, tcp)
         return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)
 
 

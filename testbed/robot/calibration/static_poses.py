@@ -31,14 +31,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import GRAVITY
 from testbed.robot.interfaces import RobotError
 from testbed.sensing.windows import mean_covariance
-from testbed.trajectory import Tool
-from testbed.validation import (
-    check_positive_fields,
-    freeze_arrays,
-    frozen_array,
-    is_number,
-    unit_quaternion,
-)
+from testbed.validation import check_positive_fields, freeze_arrays, frozen_array, is_number, unit_quaternion
 
 Sign = Literal[1, -1]
 TELLING = 25.0
@@ -142,15 +135,6 @@ class Calibration:
         freeze_arrays(self, sensor_in_hand_std=(3,), bias=(6,), bias_std=(6,), com=(3,), com_std=(3,))
         freeze_arrays(self, gain=(6,), gain_std=(6,), bias_walk=(6,))
 
-    def tool(self, tcp: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]) -> Tool:
-        """The tool, with the figures that static poses do not show.
-
-        Args:
-            tcp: tool center point [m], sensor frame.
-            inertia: about the center of mass [kg m^2], sensor axes, from the gripper's data sheet.
-        """
-        return Tool(self.mass, self.com, inertia, tcp)
-
 
 def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: float = GRAVITY) -> Calibration:
     """Mount, bias, tool and gains by weighted least squares on the readings.
@@ -178,9 +162,8 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
     best = fits[sign]
     freedom = 6 * len(poses) - UNKNOWNS
     misfit = 2 * best.cost / freedom
-    jacobian = best.jac
-    lengths = np.linalg.norm(jacobian, axis=0)
-    if not (lengths > 0).all() or np.linalg.matrix_rank(jacobian / lengths, tol=1e-4) < len(best.x):
+    lengths = np.linalg.norm(best.jac, axis=0)
+    if not (lengths > 0).all() or np.linalg.matrix_rank(best.jac / lengths, tol=1e-4) < len(best.x):
         raise CalibrationError(
             "calibration: the poses are too alike to determine how the sensor is mounted; "
             "tilt the hand by 30 deg or more, about two axes and both ways"
@@ -196,15 +179,13 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
             "calibration: the poses do not determine the sensor's sign; add some with the hand level and upside down, "
             "so that gravity is measured along all three of its axes"
         )
-    widening = max(misfit, 1.0)
     for _ in range(ROUNDS):
         scattered = _Errors.scattered(errors.noise, errors.raw(best.fun[: 6 * len(poses)]))
         if scattered is None:
             break
         errors = scattered
         best = _fit(poses, sign, gain_error, errors, gravity)
-        jacobian, widening = best.jac, max(2 * best.cost / freedom, 1.0)
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * widening
+    covariance = np.linalg.inv(best.jac.T @ best.jac) * max(2 * best.cost / freedom, 1.0)
     mass, com = best.x[3], best.x[4:7] / best.x[3]
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))

@@ -16,15 +16,7 @@ from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Recorder
-from testbed.robot.safety import (
-    FrameWatch,
-    SafetyLimits,
-    Snapshot,
-    UnsafeError,
-    Violation,
-    load_violations,
-    violations,
-)
+from testbed.robot.safety import FrameWatch, SafetyLimits, Snapshot, UnsafeError, Violation, load_violations, violations
 
 PERIOD = 0.01
 """Time between looks [s]."""

@@ -125,19 +125,14 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
     yield from _too_fast("measured", limits, state.tcp_twist, _OVERSHOOT)
     yield from _outside(limits, state.tcp_pose.position)
     down = -rotation_matrix(state.tcp_pose.orientation)[2, 2]
-    if not math.acos(min(max(down, -1.0), 1.0)) <= limits.tilt:
-        yield Violation("tilt of the tool", math.acos(min(max(down, -1.0), 1.0)), limits.tilt, "rad")
+    if not (tilt := math.acos(min(max(down, -1.0), 1.0))) <= limits.tilt:
+        yield Violation("tilt of the tool", tilt, limits.tilt, "rad")
     yield from _joints(limits, arm, state)
 
 
 def load_violations(limits: SafetyLimits, load: Float[np.ndarray, "6"]) -> Iterator[Violation]:
     """Every violation by a change of the wrench [N, N m]."""
-    for name, part, allowed, unit in (
-        ("force", load[:3], limits.force, "N"),
-        ("torque", load[3:], limits.torque, "N m"),
-    ):
-        if not np.linalg.norm(part) <= allowed:
-            yield Violation(name, float(np.linalg.norm(part)), allowed, unit)
+    return _too_large(load, ("force", limits.force, "N"), ("torque", limits.torque, "N m"))
 
 
 class FrameWatch:
@@ -243,19 +238,22 @@ def path_violations(
         yield Violation("tilt of the tool", most, limits.tilt, "rad")
     yield from _outside(limits, positions.min(axis=0))
     yield from _outside(limits, positions.max(axis=0))
-    for part in (slice(0, 3), slice(3, 6)):
-        fastest = twists[np.linalg.norm(twists[:, part], axis=1).argmax()].copy()
-        fastest[[i for i in range(6) if not part.start <= i < part.stop]] = 0.0
-        yield from _too_fast("planned", limits, fastest, 1.0 + 1e-9)
+    fastest = [part[np.linalg.norm(part, axis=1).argmax()] for part in (twists[:, :3], twists[:, 3:])]
+    yield from _too_fast("planned", limits, np.concatenate(fastest), 1.0 + 1e-9)
 
 
 def _too_fast(what: str, limits: SafetyLimits, twist: np.ndarray, factor: float) -> Iterator[Violation]:
-    for name, part, allowed, unit in (
-        ("speed", twist[:3], limits.linear_speed, "m/s"),
-        ("turn rate", twist[3:], limits.angular_speed, "rad/s"),
-    ):
-        if not np.linalg.norm(part) <= allowed * factor:
-            yield Violation(f"{what} {name}", float(np.linalg.norm(part)), allowed, unit)
+    linear, angular = limits.linear_speed, limits.angular_speed
+    return _too_large(twist, (f"{what} speed", linear, "m/s"), (f"{what} turn rate", angular, "rad/s"), factor)
+
+
+def _too_large(
+    vector: np.ndarray, linear: tuple[str, float, str], angular: tuple[str, float, str], factor: float = 1.0
+) -> Iterator[Violation]:
+    """Violations of limits on the two halves of a vector of six: of each its name, largest length and unit."""
+    for part, (name, allowed, unit) in ((vector[:3], linear), (vector[3:], angular)):
+        if not (length := float(np.linalg.norm(part))) <= allowed * factor:
+            yield Violation(name, length, allowed, unit)
 
 
 def _outside(limits: SafetyLimits, position: np.ndarray) -> Iterator[Violation]:

@@ -33,12 +33,6 @@ class HandEye:
         """Points of the tracker's frame in the base frame [m]."""
         return points @ rotation_matrix(self.tracker_in_base.orientation).T + self.tracker_in_base.position
 
-    def planar_to_base(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-        """A pose in the tracker's x-y plane as x, y [m] and yaw [rad] in the base frame."""
-        here, ahead = self.to_base(np.array([[x, y, 0.0], [x + np.cos(yaw), y + np.sin(yaw), 0.0]]))
-        along = ahead - here
-        return float(here[0]), float(here[1]), float(np.arctan2(along[1], along[0]))
-
 
 @dataclass(frozen=True, eq=False)
 class TrackedPose:
@@ -50,7 +44,10 @@ class TrackedPose:
 
     def read(self) -> tuple[float, float, float]:
         """Planar pose of the object in the arm's base frame: x, y [m] and yaw [rad]."""
-        return self.hand_eye.planar_to_base(*self.tracker.read())
+        x, y, yaw = self.tracker.read()
+        here, ahead = self.hand_eye.to_base(np.array([[x, y, 0.0], [x + np.cos(yaw), y + np.sin(yaw), 0.0]]))
+        along = ahead - here
+        return float(here[0]), float(here[1]), float(np.arctan2(along[1], along[0]))
 
 
 def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> HandEye:
@@ -81,8 +78,7 @@ def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> 
     turn = rotation.as_matrix()
     position = middle_b - turn @ middle_a
     left = b - (a @ turn.T + position)
-    freedom = 3 * len(a) - 6
-    scatter = float(np.sqrt(np.sum(left**2) / freedom))
+    scatter = float(np.sqrt(np.sum(left**2) / (3 * len(a) - 6)))
     return HandEye(
         Pose(position, rotation.as_quat(scalar_first=True)),
         residual=float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),

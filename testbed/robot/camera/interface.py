@@ -16,8 +16,8 @@ from testbed.validation import frozen_array
 
 LOOK = 1.0
 """Time in which the object is looked for before a trial [s]."""
-FARTHEST = 10.0, 1e3
-"""Largest coordinate [m] and yaw [rad] of an object on a table."""
+FARTHEST = 10.0, 10.0, 1e3
+"""Largest coordinates [m] and yaw [rad] of an object on a table."""
 LEAST_SEEN = 5
 """Least number of frames that show where the object lies."""
 BLIND = 0.4
@@ -70,9 +70,7 @@ def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts
         check_frame(frame, parts)
     time = np.array([frame.time_s for frame in frames]) - begin - sum(camera.delay) / 2
     kept = np.flatnonzero(time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]])))
-    poses = (
-        np.full((len(kept), parts, 3), math.nan) if not len(kept) else np.array([frame.poses for frame in frames])[kept]
-    )
+    poses = np.array([frames[i].poses for i in kept]).reshape(-1, parts, 3)
     for part in range(parts):
         seen = ~np.isnan(poses[:, part, 2])
         poses[seen, part, 2] = np.unwrap(poses[seen, part, 2])
@@ -88,10 +86,10 @@ def check_frame(frame: SeenFrame, parts: int) -> None:
     if len(frame.poses) != parts:
         raise CameraLostError(f"camera: it sends poses of {len(frame.poses)} parts; the object has {parts}")
     for pose in frame.poses[~np.isnan(frame.poses).any(axis=1)]:
-        if not (np.abs(pose) <= [FARTHEST[0], FARTHEST[0], FARTHEST[1]]).all():
+        if not (np.abs(pose) <= FARTHEST).all():
             raise CameraLostError(
                 f"camera: got a pose of {np.array2string(pose, precision=3)}; allowed: at most {FARTHEST[0]:g} m and "
-                f"{FARTHEST[1]:g} rad"
+                f"{FARTHEST[2]:g} rad"
             )
 
 

@@ -153,11 +153,10 @@ class UdpCamera:
         if not (isinstance(pose, list) and all(map(is_number, pose))):
             raise ValueError
         numbers = np.array(pose, dtype=float)
-        if numbers.shape not in ((3,), (7,)) or not (np.abs(numbers) <= FARTHEST[len(numbers) == 3]).all():
+        lies = numbers.shape == (3,)
+        if not (lies or numbers.shape == (7,)) or not (np.abs(numbers) <= (FARTHEST if lies else FARTHEST[0])).all():
             raise ValueError
-        if len(numbers) == 3 and not (np.abs(numbers[:2]) <= FARTHEST[0]).all():
-            raise ValueError
-        if len(numbers) == 3:
+        if lies:
             position = np.array([numbers[0], numbers[1], 0.0])
             turn = Rotation.from_euler("z", numbers[2])
         else:

@@ -32,7 +32,7 @@ from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Record, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
-from testbed.sensing.compensation import compensate
+from testbed.sensing.compensation import compensate, tare_samples
 from testbed.sensing.drift import judge_drift
 from testbed.sensing.seen import as_seen
 from testbed.trajectory import SERIES, Phase, Status, Trajectory
@@ -286,8 +286,7 @@ def lifted(measured: Trajectory) -> Trajectory:
     """
     kept = measured.mask(Phase.STEADY)
     axes = rotation_matrix(measured.sensor_orientation[kept][0])
-    empty = np.flatnonzero(measured.mask(Phase.TARE) & (measured.time_s < measured.time_s[kept][0]))
-    empty = empty[len(empty) // 3 :]
+    empty = tare_samples(measured)
     since = measured.time_s[kept].mean() - measured.time_s[empty].mean()
     moved = float(np.hypot(measured.sensor_bias_std[2], measured.sensor_drift_std[2] * np.sqrt(since)))
     reading = weigh(measured.sensor_wrench[empty], measured.sensor_wrench[kept], axes[2], drift=moved)

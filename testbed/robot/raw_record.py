@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -73,22 +74,16 @@ class RawRecord:
 
     def mark(self, time_s: float, phase: str) -> None:
         """Write the begin of a phase; a failure shows at the next frame."""
-        try:
+        with suppress(RobotError):
             self._write(f"mark,{time_s:.6f},{phase}\n")
-        except RobotError:
-            pass
 
     def end(self, time_s: float, status: str, reason: str) -> None:
         """Write the end, and close; a full disk keeps what there is."""
-        try:
+        with suppress(RobotError, OSError):
             self._write(f"end,{time_s:.6f},{status},{' '.join(reason.split())}\n")
             os.fsync(self._file.fileno())
-        except (RobotError, OSError):
-            pass
-        try:
+        with suppress(OSError):
             self._file.close()
-        except OSError:
-            pass
 
     def discard(self) -> None:
         """Remove it: nothing has moved."""

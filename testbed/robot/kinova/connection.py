@@ -7,6 +7,7 @@ import collections.abc
 import importlib
 import sys
 from concurrent.futures import TimeoutError as Timeout
+from contextlib import suppress
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +25,6 @@ _USED = {
     "TCPTransport": "TCPTransport",
 }
 """Classes of `kortex_api` in use, and their modules."""
-_QUIET = 0.6
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Configuration:
     @property
     def quiet(self) -> float:
         """Time without a beat after which a process counts as frozen [s]: short enough to stop within `silence`."""
-        return _QUIET * self.silence
+        return 0.6 * self.silence
 
 
 class Connection:
@@ -99,10 +99,8 @@ class Connection:
 
     def close(self) -> None:
         """End the session."""
-        try:
+        with suppress(*self.api.Failure):
             self._session.CloseSession(self.options())
-        except self.api.Failure:
-            pass
         self._transport.disconnect()
 
 

@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from queue import SimpleQueue
 from typing import Any
 
@@ -52,11 +53,9 @@ class Line:
 
     def _write(self) -> None:
         while (message := self._waiting.get()) is not None:
-            try:
+            with suppress(OSError):
                 self._out.write(json.dumps(message) + "\n")
                 self._out.flush()
-            except OSError:
-                pass
 
 
 def serve(pipe: int) -> None:

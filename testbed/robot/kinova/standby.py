@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 from testbed.robot.kinova.connection import Configuration, Connection, said
@@ -64,11 +65,9 @@ class Beats:
             self._pipe = -1
 
     def _write(self, what: bytes) -> None:
-        try:
+        with suppress(OSError):  # full, or no stand-by is left: heft sees that
             if self._pipe >= 0:
                 os.write(self._pipe, what)
-        except OSError:  # full, or no stand-by is left: heft sees that
-            pass
 
 
 class StandBy:
@@ -121,10 +120,8 @@ class StandBy:
                     return "the process that speaks to it has ended"
                 quiet, engaged = 0.0, got.endswith(_ENGAGED)
             if (engaged and quiet > self._configuration.quiet) or farewell > _FAREWELL:
-                try:
+                with suppress(OSError):
                     os.kill(self._mover, signal.SIGKILL)  # it must not go on later; its pipe is open, so that it lives
-                except OSError:
-                    pass
                 return f"the process that speaks to it passed on no feedback for {quiet * 1e3:.0f} ms"
             self._line.offer(standby=self._trouble)
 

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Self
@@ -124,21 +125,26 @@ class Ft300s:
         try:
             self._open(self._serial)
         except OSError as error:
-            self._close()
+            self.__exit__()
             raise SensorLostError(f"sensor {self.port}: lost while it was being opened: {error}") from None
         except BaseException:
-            self._close()
+            self.__exit__()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._close()
+        port, self._serial = self._serial, None
+        if port is None:
+            return
+        with closing(port), suppress(OSError):  # it may be gone already
+            if self._reader is not None:
+                self._reader.stop()
+                _silenced(port, streams=True)
 
     def _open(self, port: serial.Serial) -> None:
-        try:
+        # an adapter may have no such timer, or one that may not be changed: then the line after says so
+        with suppress(ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)
-        except (ValueError, NotImplementedError, AttributeError):
-            pass  # an adapter without such a timer, or one that may not be changed: then the next line says so
         self._warnings = tuple(filter(None, [latency_warning(self.port)]))
         if not _silenced(port):
             raise RobotError(
@@ -241,19 +247,6 @@ class Ft300s:
             else "nothing came: unpowered, unwired, or its stream was stopped"
         )
         return f"{since} (allowed: {self.stale_after * 1e3:.0f} ms); {came}"
-
-    def _close(self) -> None:
-        port, self._serial = self._serial, None
-        if port is None:
-            return
-        try:
-            if self._reader is not None:
-                self._reader.stop()
-                _silenced(port, streams=True)
-        except OSError:
-            pass  # gone already
-        finally:
-            port.close()
 
 
 def _silenced(port: serial.Serial, *, streams: bool = False) -> bool:

@@ -78,8 +78,7 @@ class KortexArm:
         """
         self._epoch, self._engaged = 0, False
         who = self.username, self.password
-        configuration = Configuration(self.address, self.port, *who, self.silence, self.watchdog)
-        self._link = KortexLink(configuration)
+        self._link = KortexLink(Configuration(self.address, self.port, *who, self.silence, self.watchdog))
         x, y, z = self._link.tool
         if max(abs(x), abs(y), abs(z - self.tool_length)) > 1e-3:
             self.__exit__(None, None, None)

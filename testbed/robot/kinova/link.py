@@ -116,9 +116,9 @@ class KortexLink:
     @property
     def _greeted(self) -> bool:
         """True once both are connected and feedback comes, or one has failed."""
-        if self._greeting is None or self._ended:
-            return self._ended and self._greeting is not None
-        return "connected" not in self._greeting or (self.feedback is not None and self._beat > 0)
+        if self._greeting is None or self._ended or "connected" not in self._greeting:
+            return self._greeting is not None
+        return self.feedback is not None and self._beat > 0
 
     @property
     def dead(self) -> bool:

@@ -76,29 +76,28 @@ class Execution:
 
     def _go_to_hover(self) -> None:
         """Go up first if the tool is low, so that nothing is swept off the table."""
-        hover, speed = self._plan.hover, self._settings.travel_speed
-        now = self._guard.state().tcp_pose
+        hover, now = self._plan.hover, self._guard.state().tcp_pose
         if self._plan.grasp is None:
             self._gripper.close_on(0.0, self._settings.grip_force)
         else:
             self._gripper.open(self._plan.grasp.opening)
         self._guard.check()
         if now.position[2] < hover.position[2]:
-            self._arm.move_to(Pose(np.append(now.position[:2], hover.position[2]), now.orientation), speed)
-            self._guard.check()
-        self._arm.move_to(hover, speed)
+            self._move_to(Pose(np.append(now.position[:2], hover.position[2]), now.orientation))
+        self._move_to(hover)
+
+    def _move_to(self, pose: Pose) -> None:
+        self._arm.move_to(pose, self._settings.travel_speed)
         self._guard.check()
 
     def _check_tool(self) -> None:
         """Tilt the tool, and back: a wrong sign, rotation, mass or center shows before anything is touched."""
         hover = self._plan.hover
-        turn = Rotation.from_quat(hover.orientation, scalar_first=True) * Rotation.from_rotvec([_TILTED, 0.0, 0.0])
+        turn = hover.rotation * Rotation.from_rotvec([_TILTED, 0.0, 0.0])
         level = self._held()
-        self._arm.move_to(Pose(hover.position, turn.as_quat(scalar_first=True)), self._settings.travel_speed)
-        self._guard.check()
+        self._move_to(Pose(hover.position, turn.as_quat(scalar_first=True)))
         tilted = self._held()
-        self._arm.move_to(hover, self._settings.travel_speed)
-        self._guard.check()
+        self._move_to(hover)
         change, due = tilted[0] - level[0], tilted[1] - level[1]
         off = np.abs(change - due)
         self.figures |= {"tool_check_N": float(off[:3].max()), "tool_check_Nm": float(off[3:].max())}
@@ -125,7 +124,7 @@ class Execution:
         begin, settings = self._clock.now(), self._settings
         self._wait(_STILL)
         measured = settings.sensor_sign * self._guard.recorder.mean_wrench(begin, self._clock.now())
-        tool = Rotation.from_quat(self._guard.state().tcp_pose.orientation, scalar_first=True)
+        tool = self._guard.state().tcp_pose.rotation
         axes = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
         force = axes.inv().apply([0.0, 0.0, settings.tool.mass * GRAVITY])
         return measured, np.concatenate([force, np.cross(settings.tool.com, force)])
@@ -172,15 +171,14 @@ class Execution:
         upright = Rotation.from_quat(
             tool_down(float(closing_yaw(pose.orientation, settings)), settings), scalar_first=True
         )
-        self._tilt = upright.inv() * Rotation.from_quat(pose.orientation, scalar_first=True)
+        self._tilt = upright.inv() * pose.rotation
         self._raised[2] = pose.position[2] - settings.table_height - settings.grip_height
 
     def _load(self, state: ArmState) -> np.ndarray:
         """Wrench of the gripper on the object about the TCP [N, N m], base axes, shape (6,)."""
         sample = self._guard.recorder.sample
         assert sample is not None
-        tool = Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True)
-        axes = tool * Rotation.from_quat(self._settings.sensor_orientation, scalar_first=True)
+        axes = state.tcp_pose.rotation * Rotation.from_quat(self._settings.sensor_orientation, scalar_first=True)
         load = self._settings.sensor_sign * (sample.wrench - self._rest)
         return rotate_wrench(axes.as_matrix(), move_wrench(load, self._settings.tool.tcp))
 
@@ -243,7 +241,7 @@ class Execution:
         off = then.position + self._raised - state.tcp_pose.position
         down = Rotation.from_quat(tool_down(then.yaw, settings), scalar_first=True)
         wanted = Rotation.from_rotvec(then.tilt) * down * self._tilt
-        turn = (wanted * Rotation.from_quat(state.tcp_pose.orientation, scalar_first=True).inv()).as_rotvec()
+        turn = (wanted * state.tcp_pose.rotation.inv()).as_rotvec()
         self._off_path = max(self._off_path, float(np.linalg.norm(off)))
         for name, error, rate, allowed, unit in (
             ("distance from the path", off, then.velocity, settings.off_path[0], "m"),

@@ -12,6 +12,7 @@ from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from testbed.errors import HeftError, InvalidValueError
 from testbed.trajectory import Tool
@@ -102,6 +103,11 @@ class Pose:
     def __post_init__(self) -> None:
         freeze_arrays(self, position=(3,))
         object.__setattr__(self, "orientation", unit_quaternion("Pose.orientation", self.orientation))
+
+    @property
+    def rotation(self) -> Rotation:
+        """Turn from the base's axes to the frame's."""
+        return Rotation.from_quat(self.orientation, scalar_first=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,7 @@ class KortexArm:
         number = link.ask(
             "pose",
             position=pose.position.tolist(),
-            angles=_rotation(pose).as_euler("xyz").tolist(),
+            angles=pose.rotation.as_euler("xyz").tolist(),
             speed=min(speed, GEN3.linear_speed),
             turn=self.turn_speed,
             epoch=epoch,
@@ -137,7 +137,7 @@ class KortexArm:
         while True:
             now = self.state().tcp_pose
             off = float(np.linalg.norm(now.position - pose.position))
-            turned = float((_rotation(now).inv() * _rotation(pose)).magnitude())
+            turned = float((now.rotation.inv() * pose.rotation).magnitude())
             if off <= _ARRIVED[0] and turned <= _ARRIVED[1]:
                 return
             if time.monotonic() > until:
@@ -218,7 +218,3 @@ class KortexArm:
         if feedback.faulted:
             raise ArmRefusedError(f"arm: in a fault ({feedback.message}); clear it")
         return self._connected()
-
-
-def _rotation(pose: Pose) -> Rotation:
-    return Rotation.from_quat(pose.orientation, scalar_first=True)

@@ -16,17 +16,14 @@ from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
 from testbed.toml import Finite, NonNegative, Positive, load_toml, toml_text
 
-Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
-Force = Annotated[
-    list[Annotated[float, Field(ge=-300, le=300, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-]
-Torque = Annotated[list[Annotated[float, Field(ge=-30, le=30, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]
-Center = Annotated[
-    list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-]
-Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], Field(min_length=6, max_length=6)]
-Deviations = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
-Walk = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
+_THREE, _SIX = Field(min_length=3, max_length=3), Field(min_length=6, max_length=6)
+Vector = Annotated[list[Finite], _THREE]
+Force = Annotated[list[Annotated[float, Field(ge=-300, le=300, allow_inf_nan=False)]], _THREE]
+Torque = Annotated[list[Annotated[float, Field(ge=-30, le=30, allow_inf_nan=False)]], _THREE]
+Center = Annotated[list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=False)]], _THREE]
+Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], _SIX]
+Deviations = Annotated[list[NonNegative], _THREE]
+Walk = Annotated[list[Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]], _SIX]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
 
@@ -53,8 +50,8 @@ class CalibrationFile(BaseModel):
     misfit: NonNegative
     poses: Annotated[int, Field(ge=4)]
     gain: Gains = [1.0] * 6
-    gain_std: Annotated[list[NonNegative], Field(min_length=6, max_length=6)] = [0.0] * 6
-    bias_walk: Annotated[list[Walk], Field(min_length=6, max_length=6)] = [0.0] * 6
+    gain_std: Annotated[list[NonNegative], _SIX] = [0.0] * 6
+    bias_walk: Walk = [0.0] * 6
     gravity: Annotated[float, Field(ge=9.7, le=9.9)] = GRAVITY
 
     @model_validator(mode="after")
@@ -97,14 +94,7 @@ class HandEyeFile(BaseModel):
 
 
 def save_calibration(path: Path, calibration: Calibration, sensor: str, made: str) -> None:
-    """Write a sensor's calibration, whole or not at all.
-
-    Args:
-        path: file to write.
-        calibration: its content.
-        sensor: serial number of the sensor.
-        made: date.
-    """
+    """Write a sensor's calibration, whole or not at all; `sensor`: its serial number, `made`: date."""
     c = calibration
     scaled = c.gain_std.any() or (c.gain != 1).any()
     fields = {
@@ -131,11 +121,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
 
 
 def load_calibration(path: Path, sensor: str | None = None) -> Calibration:
-    """A sensor's calibration from its file.
-
-    Args:
-        path: the file.
-        sensor: serial number of the sensor in use, if known.
+    """A sensor's calibration from its file; `sensor`: serial number of the one in use, if known.
 
     Raises:
         InvalidFileError: not a calibration file, or values out of range; a line for each error.

@@ -76,22 +76,18 @@ def check_known_mass(weighing: Weighing, mass: float) -> tuple[Verdict, str]:
         f"{weighing.mass * GRAVITY:.2f} +- {weighing.standard_error * GRAVITY:.2f} N where {mass:g} kg weighs "
         f"{mass * GRAVITY:.2f} N"
     )
-    verdict: Verdict
     unsure = TOO_UNSURE * error
     if unsure > GAIN_ERROR:
-        need = mass * unsure / GAIN_ERROR
-        verdict, why = "unsure", f"the scatter hides {GAIN_ERROR:.0%}: measure longer, or take {need:.1f} kg or more"
-    elif abs(ratio + 1) <= GAIN_ERROR + unsure:
-        verdict, why = "negated", "the sensor reports what the tool does to the arm: set sign = -1"
-    elif abs(ratio - 1) <= GAIN_ERROR + unsure:
-        verdict, why = "agrees", f"within {GAIN_ERROR:.0%}"
-    else:
-        verdict = "disagrees"
-        why = (
-            f"off by {100 * (ratio - 1):+.1f} %: the sensor may hold a stored tool calibration, something may touch "
-            "the load, or `up` is not up"
-        )
-    return verdict, f"{measured}: {why}"
+        more = f"measure longer, or take {mass * unsure / GAIN_ERROR:.1f} kg or more"
+        return "unsure", f"{measured}: the scatter hides {GAIN_ERROR:.0%}: {more}"
+    if abs(ratio + 1) <= GAIN_ERROR + unsure:
+        return "negated", f"{measured}: the sensor reports what the tool does to the arm: set sign = -1"
+    if abs(ratio - 1) <= GAIN_ERROR + unsure:
+        return "agrees", f"{measured}: within {GAIN_ERROR:.0%}"
+    return "disagrees", (
+        f"{measured}: off by {100 * (ratio - 1):+.1f} %: the sensor may hold a stored tool calibration, something may "
+        "touch the load, or `up` is not up"
+    )
 
 
 def held_center(

@@ -33,11 +33,7 @@ class CameraWatch:
         self._jumps: deque[bool] = deque(maxlen=AMONG)
 
     def kept(self, frames: Sequence[SeenFrame], now: float) -> Iterator[SeenFrame]:
-        """The frames that count, up to the first fault.
-
-        Args:
-            frames: new frames.
-            now: time of their arrival [s].
+        """The new frames that count, up to the first fault; `now` is the time of their arrival [s].
 
         Raises:
             CameraLostError: another number of parts, a pose off any table, a stamp of another time, or jumps.
@@ -45,14 +41,14 @@ class CameraWatch:
         for frame in frames:
             check_frame(frame, self._parts)
             self._check_stamp(frame.time_s, now)
-            jump = max((self._jump(frame, part) for part in range(self._parts)), default=("", 0.0), key=lambda j: j[1])
-            self._jumps.append(jump[1] > 1)
+            words, jump = max((self._jump(frame, part) for part in range(self._parts)), key=lambda found: found[1])
+            self._jumps.append(jump > 1)
             if sum(self._jumps) >= JUMPS:
                 raise CameraLostError(
-                    f"camera: {JUMPS} of its last {len(self._jumps)} frames jump, the last by {jump[0] or 'less'}: "
+                    f"camera: {JUMPS} of its last {len(self._jumps)} frames jump, the last by {words}: "
                     "it sees something else, or another program sends poses too"
                 )
-            if jump[1] <= 1:
+            if jump <= 1:
                 yield frame
                 for part, pose in enumerate(frame.poses):
                     if not np.isnan(pose).any():

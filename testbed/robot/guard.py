@@ -96,11 +96,7 @@ class Guard:
             raise self.trouble
 
     def state(self) -> ArmState:
-        """The newest feedback.
-
-        Raises:
-            RobotError: as `check`.
-        """
+        """The newest feedback; raises as `check`."""
         self.check()
         assert self.recorder.state is not None
         return self.recorder.state

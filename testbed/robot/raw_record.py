@@ -55,21 +55,13 @@ class RawRecord:
         self._write("".join(f"frame,{s.time_s:.6f},{s.sequence},{_numbers(s.wrench)}\n" for s in samples))
 
     def state(self, state: ArmState) -> None:
-        """Write new feedback.
-
-        Raises:
-            RobotError: as `frames`.
-        """
+        """Write new feedback; raises as `frames`."""
         pose = state.tcp_pose
         parts = (state.joint_position, state.joint_velocity, pose.position, pose.orientation, state.tcp_twist)
         self._write(f"state,{state.time_s:.6f},{_numbers(np.concatenate(parts))}\n")
 
     def seen(self, frames: Sequence[SeenFrame]) -> None:
-        """Write new frames of a camera.
-
-        Raises:
-            RobotError: as `frames`.
-        """
+        """Write new frames of a camera; raises as `frames`."""
         self._write("".join(f"seen,{f.time_s:.6f},{_numbers(f.poses.ravel())}\n" for f in frames))
 
     def mark(self, time_s: float, phase: str) -> None:

@@ -228,11 +228,7 @@ def path_violations(
 ) -> Iterator[Violation]:
     """Every violation of a planned path of the TCP.
 
-    Args:
-        limits: limits.
-        positions: positions, m, base frame.
-        twists: twists, m/s and rad/s, base frame.
-        tilts: angles from straight down, rad.
+    It has positions [m], twists [m/s, rad/s] and tilts from straight down [rad], base frame.
     """
     if not (most := float(tilts.max())) <= limits.tilt:
         yield Violation("tilt of the tool", most, limits.tilt, "rad")

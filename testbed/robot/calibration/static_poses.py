@@ -315,9 +315,7 @@ def _likeliest(
 def _turning_otherwise(poses: Sequence[StaticPose], least: float) -> str:
     """Other reading of the hand's orientations with which the force turns, in words; empty where none is.
 
-    Args:
-        poses: readings at rest.
-        least: residual of the forces' directions with the orientations as they are.
+    `least` is the residual of the forces' directions with the orientations as they are.
     """
     hands, force = (np.array([getattr(pose, name) for pose in poses]) for name in ("hand", "wrench"))
     inverse = Rotation.from_quat(hands, scalar_first=True).inv().as_quat(scalar_first=True)

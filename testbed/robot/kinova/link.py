@@ -44,9 +44,6 @@ class KortexLink:
     def __init__(self, configuration: Configuration):
         """Start it and connect.
 
-        Args:
-            configuration: how to reach the arm.
-
         Raises:
             RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
         """

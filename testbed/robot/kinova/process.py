@@ -59,11 +59,7 @@ class Line:
 
 
 def serve(pipe: int) -> None:
-    """Connect by the first line, then serve the requests of the others until they end.
-
-    Args:
-        pipe: where the beats go.
-    """
+    """Connect by the first line, then serve the requests of the others until they end; beats go into `pipe`."""
     _ignore_signals()
     line, beats = Line(), Beats(pipe)
     arm = _begun(line, lambda configuration: Gen3(configuration, line, beats))
@@ -91,12 +87,7 @@ def serve(pipe: int) -> None:
 
 
 def stand_by(pipe: int, mover: int) -> None:
-    """Connect by the first line, then stop the arm if the process that moves it fails.
-
-    Args:
-        pipe: where that process's beats come from.
-        mover: its id.
-    """
+    """Connect by the first line, then stop the arm if the process `mover`, whose beats come from `pipe`, fails."""
     _ignore_signals()
     line = Line()
     standby = _begun(line, lambda configuration: StandBy(configuration, line, pipe, mover))

@@ -258,10 +258,8 @@ def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Ite
     for tare in runs(record.during(Phase.TARE)):
         spread = record.wrench[tare, :3].std(axis=0).max()
         if not spread <= RESTLESS:
-            yield (
-                "fault",
-                f"tare: the force scattered by {spread:.2f} N; allowed: {RESTLESS} N; let nothing touch the tool",
-            )
+            scattered = f"the force scattered by {spread:.2f} N; allowed: {RESTLESS} N"
+            yield "fault", f"tare: {scattered}; let nothing touch the tool"
     if path is not None:
         yield from _uncovered(record, path)
     if (change := _change(record)) < CHANGE:

@@ -114,11 +114,8 @@ def build_sensor(file: RobotFile, port: str | None = None) -> WrenchSensor:
     table = file.sensor
     port = port or table.port
     if port is None and needs_port(file):
-        raise InvalidValueError(
-            "sensor.port",
-            None,
-            '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are',
-        )
+        allowed = '[sensor] port = "/dev/serial/by-id/..." in robot.toml; heft robot check lists the ports there are'
+        raise InvalidValueError("sensor.port", None, allowed)
     settings = table.settings if port is None else {k: v for k, v in table.settings.items() if k != "port"}
     return _build(SENSOR, table.model, settings, "sensor", {} if port is None else {"port": port})
 

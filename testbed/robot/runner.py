@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from testbed.errors import InfeasibleTrialError
 from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
 from testbed.objects.model import GRAVITY
-from testbed.robot.camera.evidence import check_place, contact_of, left_early, seen_doubts
+from testbed.robot.camera.evidence import check_place, with_evidence
 from testbed.robot.camera.interface import ObjectCamera, SeenPose, seen_stream
 from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.config import RobotSettings
@@ -193,7 +193,7 @@ class RealRunner:
         }
         whole = trajectory_of(plan, record, self._settings, status, reason, figures, provenance)
         if whole.ok and whole.camera is not None:
-            whole = with_evidence(whole, plan)
+            whole = with_evidence(whole, plan.trial.object.shape)
         judged = judge_drift(whole, self._settings.drift)
         return lifted(judged) if not plan.trial.action.moves and judged.ok else judged
 
@@ -258,16 +258,6 @@ def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
     if chain is None or grasp is None:
         return SeenPose(camera, clock)
     return SeenPose(camera, clock, chain.links, int(chain.link[shape.pressed(shape.grasps[grasp])[0]]))
-
-
-def with_evidence(whole: Trajectory, plan: RobotPlan) -> Trajectory:
-    """Record with the camera's evidence against it, and how long a push touched."""
-    figures, reason = whole.figures, ""
-    if whole.action.pushes:
-        met, left = contact_of(whole)
-        figures, reason = figures | {"contact_s": left - met}, left_early(whole)
-    status, why = next(seen_doubts(whole, plan.trial.object.shape), ("ok", reason))
-    return replace(whole, status=status, reason=why, figures=figures)
 
 
 def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Float[np.ndarray, "T 3"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,9 +47,9 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
         yield "fault", f"camera: it did not see the object for {gap:.2f} s of the motion; allowed: {BLIND:g} s"
         return
     if record.action.pushes:
-        touched = contact_of(record)
-        if touched[1] - touched[0] < LEAST_CONTACT * record.action.pace:
-            yield "slipped", f"the fingertip met the object for {touched[1] - touched[0]:.2f} s alone"
+        met, left = contact_of(record)
+        if left - met < LEAST_CONTACT * record.action.pace:
+            yield "slipped", f"the fingertip met the object for {left - met:.2f} s alone"
             return
     if doubt := frame_mismatch(record, shape):
         yield "fault", f"camera: {doubt}; check its place in the robot file, or put the object at its stated place"
@@ -63,10 +64,13 @@ def contact_of(record: Trajectory) -> tuple[float, float]:
     return float(contact[0]), float(contact[-1])
 
 
-def left_early(record: Trajectory) -> str:
-    """Message if the fingertip of a push left the object before its path ended; empty if it did not."""
-    end = record.time_s[record.segment >= 0][-1]
-    met, left = contact_of(record)
-    if end - left <= 2 * TRIM_END:
-        return ""
-    return f"the fingertip left the object at {left:.2f} s, after {left - met:.2f} s in contact"
+def with_evidence(record: Trajectory, shape: ObjectShape) -> Trajectory:
+    """Record with the camera's evidence against it; of a push also how long it touched, and whether it ended early."""
+    figures, reason = record.figures, ""
+    if record.action.pushes:
+        met, left = contact_of(record)
+        figures = figures | {"contact_s": left - met}
+        if record.time_s[record.segment >= 0][-1] - left > 2 * TRIM_END:
+            reason = f"the fingertip left the object at {left:.2f} s, after {left - met:.2f} s in contact"
+    status, why = next(seen_doubts(record, shape), ("ok", reason))
+    return replace(record, status=status, reason=why, figures=figures)

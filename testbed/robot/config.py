@@ -258,13 +258,11 @@ class RobotFile(Strict):
 
     def to_dict(self) -> dict[str, Any]:
         """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
-        usual = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}
-        tables = self.model_dump(exclude={name for name, left in usual.items() if left})
+        unused = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}
+        tables = self.model_dump(exclude={name for name, left in unused.items() if left})
         for name in ("arm", "sensor", "gripper"):
-            default = type(getattr(self, name))()
-            for key in ("model", "settings", "stroke_m", "finger_width_m"):
-                if key in tables[name] and tables[name][key] == getattr(default, key):
-                    del tables[name][key]
+            usual = type(getattr(self, name))().model_dump(include=set(GripperTable.model_fields))
+            tables[name] = {key: value for key, value in tables[name].items() if usual.get(key, ...) != value}
         return {name: table for name, table in tables.items() if table}
 
     def check_arm(self, arm: ArmIdentity) -> None:

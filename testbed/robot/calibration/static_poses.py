@@ -154,7 +154,8 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
         raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
     if not (is_number(gain_error) and 0 <= gain_error < 1):
         raise InvalidValueError("gain_error", gain_error, "a number from 0 to below 1")
-    errors = _Errors.of(poses)
+    noise = np.array([pose.standard_error for pose in poses])
+    errors = _Errors(noise, np.zeros(6), np.array([np.diag(each) for each in noise.T]))
     fits = {sign: _fit(poses, sign, gain_error, errors, gravity) for sign in (1, -1)}
     if (least := min(fit.force_left for fit in fits.values())) > HANDED and (other := _turning_otherwise(poses, least)):
         raise CalibrationError(f"calibration: the force does not turn with the hand, but does {other}")
@@ -180,7 +181,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
             "so that gravity is measured along all three of its axes"
         )
     for _ in range(ROUNDS):
-        scattered = _Errors.scattered(errors.noise, errors.raw(best.fun[: 6 * len(poses)]))
+        scattered = _Errors.scattered(noise, errors.raw(best.fun[: 6 * len(poses)]))
         if scattered is None:
             break
         errors = scattered
@@ -249,12 +250,6 @@ class _Errors:
     def inverses(self) -> Float[np.ndarray, "6 N N"]:
         """Inverse of each root."""
         return np.linalg.inv(self.roots)
-
-    @staticmethod
-    def of(poses: Sequence[StaticPose]) -> _Errors:
-        """Noise alone."""
-        noise = np.array([pose.standard_error for pose in poses])
-        return _Errors(noise, np.zeros(6), np.array([np.diag(each) for each in noise.T]))
 
     @staticmethod
     def scattered(noise: Float[np.ndarray, "N 6"], left: Float[np.ndarray, "N 6"]) -> _Errors | None:

@@ -142,8 +142,7 @@ class Gen3:
         if not self._action_over.wait(POSE_TIME):
             self.stop()
             self._reply(request, error=f"not there after {POSE_TIME:.0f} s")
-            return
-        if self._action_end:
+        elif self._action_end:
             self._reply(request, error=self._action_end, stopped=request["epoch"] != self._epoch)
         else:
             self._reply(request)

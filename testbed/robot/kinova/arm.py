@@ -53,6 +53,8 @@ class KortexArm:
     watchdog: Annotated[float, Range(0.02, 0.1, "s")] = 0.05
     """Time without a twist while one is in force, and without a look at `state` until the next stop, after which the
     arm is stopped [s]."""
+    limits = GEN3
+    """Limits of the arm; known before connecting."""
 
     def __post_init__(self) -> None:
         check_settings(KortexArm, vars(self), "KortexArm")
@@ -64,11 +66,6 @@ class KortexArm:
     def identity(self) -> ArmIdentity:
         """Model, serial number and firmware by the arm itself."""
         return ArmIdentity() if self._link is None else self._link.identity
-
-    @property
-    def limits(self) -> ArmLimits:
-        """Limits of the arm; known before connecting."""
-        return GEN3
 
     def __enter__(self) -> Self:
         """Connect.

@@ -89,9 +89,10 @@ class Ft300s:
         """
         check_settings(Ft300s, {"port": port, "stale_after": stale_after, "repeats": repeats, "noise": noise}, "Ft300s")
         self.port, self.stale_after = port, stale_after
-        self._identity = SensorIdentity(
+        self.identity = SensorIdentity(
             "Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(repeats), tuple(noise)
         )
+        """Name and abilities; serial and firmware are "unknown" before it is entered."""
         self._serial: serial.Serial | None = None
         self._reset()
 
@@ -103,11 +104,6 @@ class Ft300s:
         self._sequence = self._dropouts = self._bytes_since = 0
         self._warnings: tuple[str, ...] = ()
         self._lock = threading.Lock()
-
-    @property
-    def identity(self) -> SensorIdentity:
-        """Name and abilities; serial and firmware are "unknown" before it is entered."""
-        return self._identity
 
     def __enter__(self) -> Self:
         """Open the port, stop a stream left running, identify the sensor, start the stream, wait for its first frame.
@@ -152,7 +148,7 @@ class Ft300s:
             )
         client = ModbusSerialClient(self.port, baudrate=BAUD, timeout=0.3, retries=2)
         client.socket = port
-        self._identity = self._identified(client)
+        self.identity = self._identified(client)
         client.write_registers(_STREAM, [_START], device_id=DEVICE, no_response_expected=True)
         reader = self._reader = SerialReader(port.fileno(), FRAME_BYTES)
         deadline = time.monotonic() + _STARTING
@@ -181,7 +177,7 @@ class Ft300s:
             raise RobotError(f"sensor {self.port}: got firmware {said[:6]!r}; allowed: an FT sensor's, F first")
         digits = words[6] << 16 | words[5]  # low word first
         return replace(
-            self._identity,
+            self.identity,
             serial=f"{said[6:9].decode('ascii', 'replace')}-{digits:04d}" if digits else "unknown",
             firmware=f"{said[:3].decode('ascii', 'replace')}-{said[3]}.{said[4]}.{said[5]}",
         )

@@ -82,12 +82,9 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     if len(found) >= FEWEST:
         return found, left_out
     size = round(WITHIN_S * RATE)
-    slow = [
-        run[i : i + size]
-        for run in runs((turn < SLOW_TURN) & (way < SLOW_WAY) & measured)
-        for i in range(0, len(run), size)
-    ]
-    moving = [_pose(hand[run], values[run], 2) for run in slow if len(run) == size]
+    slow = runs((turn < SLOW_TURN) & (way < SLOW_WAY) & measured)
+    parts = [run[i : i + size] for run in slow for i in range(0, len(run) - size + 1, size)]
+    moving = [_pose(hand[part], values[part], 2) for part in parts]
     if len(moving) < FEWEST:
         raise LogError(
             f"poses: {len(found)} rests of {SHORTEST_S:g} s and {len(moving)} half seconds of slow motion; allowed: "

@@ -90,9 +90,8 @@ def check_trial(
         if center is not None and findings[0].ok:
             findings.append(_of_lever(wrench, covariance, frozen_array("check_trial.center", center, (2,))))
     findings += [_of_work(window) for window in windows]
-    turns = [w for w in windows if abs(w.twist[2]) >= SLIDING]
-    there = [w for w in turns if w.twist[2] > 0]
-    back = [w for w in turns if w.twist[2] < 0]
+    there = [w for w in windows if w.twist[2] >= SLIDING]
+    back = [w for w in windows if w.twist[2] <= -SLIDING]
     if not setup.table_tilt:  # the weight's part along a tilted table stays too
         findings += [_of_flip(a, b) for a, b in zip(there, back, strict=False)]
     findings += [_of_slide(w, setup) for w in windows if abs(w.twist[2]) < SLIDING]

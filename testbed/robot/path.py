@@ -261,7 +261,7 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
     point = ", ".join(f"{1e3 * v:.0f}" for v in action.hand(shape)[0]) if plan.grasp is None else ""
     where = plan.grasp.name if plan.grasp is not None else f"({point}) mm with closed fingers"
     lines = [
-        f"{plan.trial.action.kind} of {plan.trial.object.name} at {where}, {plan.duration(settings):.0f} s",
+        f"{action.kind} of {plan.trial.object.name} at {where}, {plan.duration(settings):.0f} s",
         f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]
@@ -283,6 +283,5 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
         )
     low, high = np.concatenate(everywhere).min(axis=0), np.concatenate(everywhere).max(axis=0)
     box = zip("xyz", low, high, settings.limits.low, settings.limits.high, strict=True)
-    return "\n".join(
-        lines + [f"{axis}: {a:.3f} to {b:.3f} m; allowed {c:.3f} to {d:.3f} m" for axis, a, b, c, d in box]
-    )
+    lines += [f"{axis}: {a:.3f} to {b:.3f} m; allowed {c:.3f} to {d:.3f} m" for axis, a, b, c, d in box]
+    return "\n".join(lines)

@@ -327,10 +327,8 @@ def _aligned(up: Float[np.ndarray, "N 3"], force: Float[np.ndarray, "N 3"]) -> t
 
     Differences are free of the bias: Kabsch's rotation.
     """
-    middle, about = up - up.mean(axis=0), force - force.mean(axis=0)
-    rotation, left, *_ = Rotation.align_vectors(
-        *(vectors / max(float(np.linalg.norm(vectors)), 1e-12) for vectors in (middle, about))
-    )
+    changes = (vectors - vectors.mean(axis=0) for vectors in (up, force))
+    rotation, left, *_ = Rotation.align_vectors(*(each / max(float(np.linalg.norm(each)), 1e-12) for each in changes))
     return rotation, float(left)
 
 

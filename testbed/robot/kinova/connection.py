@@ -51,11 +51,7 @@ class Connection:
     """An open session, and the clients of the arm's services."""
 
     def __init__(self, configuration: Configuration, idle: float):
-        """Connect.
-
-        Args:
-            configuration: how to reach the arm.
-            idle: silence of this connection after which the arm is to stop by itself [s].
+        """Connect; `idle` is the silence of this connection after which the arm is to stop by itself [s].
 
         Raises:
             ImportError: no `kortex_api`.

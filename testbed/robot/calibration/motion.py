@@ -55,7 +55,8 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         @ np.mean([perpendicular(w.twist[:2]) / w.twist[2] for w in windows], axis=0)
         for action, windows in turned
     ])  # fmt: skip
-    setup, exact, findings = _stated(steady), _exact(steady) if len(turned) > 2 else set[str](), []
+    largest = SetupErrors.largest([t.setup for t in steady])
+    setup, exact, findings = _stated(largest), _exact(largest) if len(turned) > 2 else set[str](), []
     held = np.hypot(setup.grasp_offset, setup.grasp_angle * np.linalg.norm(named, axis=1))
     allowed = CENTER_ALLOWED + SURE * held
     kinds = {"stated": named, "mirrored": named * [1, -1]}
@@ -98,7 +99,7 @@ def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> li
     Links that trail pull aside, and lie elsewhere on the way back: of an object with hinges, only the sign of the work.
     """
     gripped = [t for t in trajectories if t.action.dragged_steadily]
-    found = [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated([t]))]
+    found = [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated(t.setup))]
     return [finding for finding in found if shape.chain is None or finding.what == "friction"]
 
 
@@ -112,17 +113,15 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 
 
-def _stated(trajectories: Sequence[Trajectory]) -> SetupErrors:
-    """Errors of the setup that trials state; one at its default counts as not stated, and as 0."""
-    largest = SetupErrors.largest([t.setup for t in trajectories]) if trajectories else EXACT_SETUP
-    defaults = {name for name in PARAMETERS if getattr(largest, name) == getattr(UNSTATED, name)}
-    return replace(largest, **{name: getattr(EXACT_SETUP, name) for name in defaults})
+def _stated(setup: SetupErrors) -> SetupErrors:
+    """Errors that are stated; one at its default counts as not stated, and as 0."""
+    defaults = {name for name in PARAMETERS if getattr(setup, name) == getattr(UNSTATED, name)}
+    return replace(setup, **{name: getattr(EXACT_SETUP, name) for name in defaults})
 
 
-def _exact(trajectories: Sequence[Trajectory]) -> set[str]:
-    """Errors of the setup that no trial has, and whose default is not 0."""
-    largest = SetupErrors.largest([t.setup for t in trajectories])
-    return {name for name in PARAMETERS if not getattr(largest, name) and getattr(UNSTATED, name)}
+def _exact(setup: SetupErrors) -> set[str]:
+    """Errors that are stated as 0, and whose default is not."""
+    return {name for name in PARAMETERS if not getattr(setup, name) and getattr(UNSTATED, name)}
 
 
 def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:

@@ -93,7 +93,6 @@ class KortexLink:
             stdin=pipe,
             stdout=pipe,
             stderr=pipe if call == "serve" else subprocess.DEVNULL,
-            text=True,
             encoding="utf-8",
             start_new_session=True,
             pass_fds=(beats,),

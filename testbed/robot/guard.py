@@ -102,11 +102,7 @@ class Guard:
         return self.recorder.state
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Command a twist [m/s, rad/s], base axes, unless anything is wrong.
-
-        Raises:
-            RobotError: as `check`, or the twist is beyond a limit.
-        """
+        """Command a twist [m/s, rad/s], base axes, unless anything is wrong; raises as `check`, also beyond a limit."""
         self.check()
         command = np.concatenate([linear, angular])
         found = next(self._violations(self._beat, command), None)

@@ -263,10 +263,10 @@ def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Ite
     if path is not None:
         yield from _uncovered(record, path)
     if (change := _change(record)) < CHANGE:
+        felt = f"from the tare to the motion no component changed by more than {change:.1f} standard errors"
         yield (
             "fault",
-            f"sensor: from the tare to the motion no component changed by more than {change:.1f} standard errors; "
-            f"allowed: at least {CHANGE:g}; the sensor feels nothing, or the hand holds nothing",
+            f"sensor: {felt}; allowed: at least {CHANGE:g}; the sensor feels nothing, or the hand holds nothing",
         )
 
 

@@ -11,10 +11,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
-from testbed.robot.camera.interface import ObjectCamera
-from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, Clock, RobotError, WrenchSample, WrenchSensor
-from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Recorder
 from testbed.robot.safety import FrameWatch, SafetyLimits, Snapshot, UnsafeError, Violation, load_violations, violations
 
@@ -33,16 +30,9 @@ class Guard:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        sensor: WrenchSensor,
-        limits: SafetyLimits,
-        clock: Clock,
-        raw: RawRecord | None = None,
-        camera: ObjectCamera | None = None,
-        watch: CameraWatch | None = None,
+        self, arm: Arm, sensor: WrenchSensor, limits: SafetyLimits, clock: Clock, recorder: Recorder | None = None
     ):
-        self.recorder = Recorder(arm, sensor, raw, camera, watch)
+        self.recorder = Recorder(arm, sensor) if recorder is None else recorder
         self.trouble: RobotError | None = None
         """Reason that it has tripped, or None."""
         self._arm, self._limits, self._clock = arm, limits, clock

@@ -29,7 +29,7 @@ from testbed.robot.guard import Guard
 from testbed.robot.interfaces import Arm, Clock, Gripper, MonotonicClock, ObjectPose, RobotError, WrenchSensor
 from testbed.robot.path import RobotPlan, closing_yaw, described, plan_trial
 from testbed.robot.raw_record import RawRecord
-from testbed.robot.recorder import Record, doubts
+from testbed.robot.recorder import Record, Recorder, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
 from testbed.sensing.compensation import compensate, tare_samples
@@ -159,7 +159,8 @@ class RealRunner:
         chain, action = plan.trial.object.shape.chain, plan.trial.action
         push = max(abs(part.speed) for part in action.steady) if action.pushes else 0.0
         watch = CameraWatch(self._settings.camera, 1 if chain is None else chain.links, push)
-        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, raw, camera, watch)
+        recorder = Recorder(self._arm, self._sensor, raw, camera, watch)
+        guard = Guard(self._arm, self._sensor, self._settings.limits, self._clock, recorder)
         execution = Execution(plan, self._arm, self._gripper, self._sensor, guard, self._settings, self._clock)
         failure, began = None, False
         try:
@@ -169,7 +170,7 @@ class RealRunner:
                 self._tool_checked = True
         except RobotError as error:
             failure = error
-        record = guard.recorder.record(self._clock.now()) if began else None
+        record = recorder.record(self._clock.now()) if began else None
         if record is None:
             place = "; the tool must point down over the table" if isinstance(failure, UnsafeError) else ""
             raise RobotError(f"before anything moved: {failure}{place}") from failure

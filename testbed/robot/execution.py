@@ -168,9 +168,8 @@ class Execution:
         self._guard.twist(np.zeros(3), np.zeros(3))
         self._wait(_STILL)
         pose = self._guard.state().tcp_pose
-        upright = Rotation.from_quat(
-            tool_down(float(closing_yaw(pose.orientation, settings)), settings), scalar_first=True
-        )
+        yaw = float(closing_yaw(pose.orientation, settings))
+        upright = Rotation.from_quat(tool_down(yaw, settings), scalar_first=True)
         self._tilt = upright.inv() * pose.rotation
         self._raised[2] = pose.position[2] - settings.table_height - settings.grip_height
 

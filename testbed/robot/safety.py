@@ -156,10 +156,8 @@ class FrameWatch:
 
     def violations(self, wrench: Float[np.ndarray, "6"]) -> Iterator[Violation]:
         """Every violation by the next frame, raw [N, N m]."""
-        if not np.isfinite(wrench).all():
-            yield Violation(
-                "values of the wrench that are no number", float((~np.isfinite(wrench)).sum()), 0.0, "", True
-            )
+        if missing := float((~np.isfinite(wrench)).sum()):
+            yield Violation("values of the wrench that are no number", missing, 0.0, "", True)
         for name, part, allowed, unit in (
             ("raw force", wrench[:3], self._sensor.force_range, "N"),
             ("raw torque", wrench[3:], self._sensor.torque_range, "N m"),

@@ -55,7 +55,7 @@ class Finding:
     """The finding in a sentence, with its remedy."""
 
 
-def judged(what: str, ok: bool, value: float, text: str, remedy: str) -> Finding:
+def judged(what: str, ok: bool | np.bool_, value: float, text: str, remedy: str) -> Finding:
     """Finding whose sentence ends with the remedy if it is not as it should be."""
     return Finding(what, bool(ok), value, text if ok else f"{text}: {remedy}")
 

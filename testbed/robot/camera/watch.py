@@ -72,9 +72,7 @@ class CameraWatch:
         way = float(np.linalg.norm(pose[:2] - last[1][:2]))
         turn = abs(math.remainder(pose[2] - last[1][2], math.tau))
         noise = _NOISE * math.sqrt(2)
-        allowed = (
-            self._fastest[0] * time + noise * self._camera.position + 0.002,
-            self._fastest[1] * time + noise * self._camera.angle + math.radians(0.5),
-        )
+        most_way = self._fastest[0] * time + noise * self._camera.position + 0.002
+        most_turn = self._fastest[1] * time + noise * self._camera.angle + math.radians(0.5)
         words = f"{way * 1e3:.0f} mm and {math.degrees(turn):.0f} deg in {time * 1e3:.0f} ms"
-        return words, max(way / allowed[0], turn / allowed[1])
+        return words, max(way / most_way, turn / most_turn)

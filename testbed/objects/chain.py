@@ -104,10 +104,9 @@ def checked_torques(name: str, torques: Iterable[float], chain: Chain | None) ->
 
 def velocities(own: Float[np.ndarray, "S P 9"], offsets: Float[np.ndarray, "... P 2"]) -> Float[np.ndarray, "S P 2"]:
     """Velocities of particles [m/s] whose links move so, at `offsets` from the grasp point as the chain lies [m]."""
-    c, s = np.cos(own[..., :1]), np.sin(own[..., :1])
-    place = c * offsets + s * perpendicular(offsets) + own[..., 1:3]
+    place = _turn(own[..., 0], offsets) + own[..., 1:3]
     return own[..., 3:5] + own[..., 5:6] * perpendicular(place)
 
 
-def _turn(angle: Float[np.ndarray, "S"], vector: Float[np.ndarray, "2"]) -> Float[np.ndarray, "S 2"]:
-    return np.cos(angle)[:, None] * vector + np.sin(angle)[:, None] * perpendicular(vector)
+def _turn(angle: Float[np.ndarray, "..."], vector: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
+    return np.cos(angle)[..., None] * vector + np.sin(angle)[..., None] * perpendicular(vector)

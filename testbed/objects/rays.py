@@ -8,10 +8,10 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
+from testbed.frames import cross_2d
+
 _PAIRS = 4_000_000
 """Pairs of triangle and ray that are tested at once."""
-
-
 OFF_CENTER = np.array([0.00137, 0.00071])
 """Shift of rays in steps of their grid: none then runs within a wall of a mesh that is symmetric about it."""
 
@@ -47,7 +47,7 @@ def grid_hits(
     low = np.maximum(np.ceil(flat[:, :, :2].min(axis=1)), 0).astype(int)
     high = np.minimum(np.floor(flat[:, :, :2].max(axis=1)), most).astype(int)
     a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
-    area = _cross(b - a, c - a)
+    area = cross_2d(b - a, c - a)
     over = np.flatnonzero((low <= high).all(axis=1) & (area != 0))
     spans = (high - low + 1)[over]
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -74,15 +74,11 @@ def grid_hits(
         which, i, j = which[inside], i[inside], j[inside]
         face = face[which]
         at = np.column_stack([i, j]) - a[face, :2]
-        s = _cross(at, (c - a)[face]) / area[face]
-        t = _cross((b - a)[face], at) / area[face]
+        s = cross_2d(at, (c - a)[face]) / area[face]
+        t = cross_2d((b - a)[face], at) / area[face]
         height = a[face, 2] + s * (b - a)[face, 2] + t * (c - a)[face, 2]
         found.append((height, i * grid.counts[1] + j, np.sign(area[face]).astype(int)))
     if not found:
         return np.zeros(0), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
     height, ray, out = (np.concatenate(each) for each in zip(*found, strict=True))
     return height, ray, out
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

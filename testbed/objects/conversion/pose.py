@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
 from testbed.errors import InvalidValueError
+from testbed.frames import cross_2d
 from testbed.objects.conversion.surface import Surface, as_mesh
 
 AXES = {sign + name: k for k, name in enumerate("xyz") for sign in ("", "-")}
@@ -143,8 +144,7 @@ def contact_points(vertices: Float[np.ndarray, "V 3"], middle: Float[np.ndarray,
 def _lost(corners: np.ndarray) -> np.ndarray:
     """Area that a polygon loses with each corner."""
     before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
-    a, b = corners - before, after - before
-    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    return np.abs(cross_2d(corners - before, after - before)) / 2
 
 
 def _area(corners: np.ndarray) -> float:

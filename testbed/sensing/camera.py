@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
+from testbed.sensing.series import interpolated
 from testbed.validation import check_integer, freeze_arrays, frozen_array, is_number
 
 DEGREE = 3
@@ -110,8 +111,8 @@ class PoseStream:
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
         """Poses at given times [s], straight between the frames that saw all parts; for drawing."""
         whole = ~np.isnan(self.poses).any(axis=(1, 2))
-        series = self.poses[whole].reshape(int(whole.sum()), -1).T
-        return np.stack([np.interp(times, self.time_s[whole], one) for one in series], 1).reshape(-1, self.parts, 3)
+        series = self.poses[whole].reshape(int(whole.sum()), -1)
+        return interpolated(times, self.time_s[whole], series).reshape(-1, self.parts, 3)
 
     def motion(
         self,
@@ -200,10 +201,8 @@ def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
     first, last = true.time_s[[0, -1]]
     step = 1 / camera.rate if camera.rate else float(np.median(np.diff(true.time_s)))
     at = np.arange(first + rng.uniform(0, step), last, step)
-    poses = np.array(
-        [[np.interp(at, true.time_s, series) for series in part] for part in true.poses.transpose(1, 2, 0)]
-    )
+    poses = interpolated(at, true.time_s, true.poses.reshape(len(true.time_s), -1))
     noise = np.array([camera.position, camera.position, camera.angle]) * rng.standard_normal((len(at), true.parts, 3))
-    found = poses.transpose(2, 0, 1) + noise
+    found = poses.reshape(noise.shape) + noise
     found[rng.random(len(at)) < camera.dropout] = math.nan
     return PoseStream(at + late - (least + most) / 2, found, camera.position, camera.angle, camera.delay_std)

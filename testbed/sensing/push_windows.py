@@ -14,6 +14,7 @@ from testbed.objects.faces import face_at
 from testbed.objects.model import ObjectShape
 from testbed.sensing.camera import SPAN, PoseStream
 from testbed.sensing.compensation import tare_time
+from testbed.sensing.series import runs
 from testbed.sensing.windows import (
     BATCH,
     TRIM_END,
@@ -150,6 +151,7 @@ def stretches(
             continue
         middle = part[len(part) // 2]
         shared = pace * SPAN / (len(part) * step)
+        into_object = block_diag(*[into[middle], [[1.0]]] * 3)
         motion = {
             "twist": twist[part].mean(axis=0),
             "twists": part_means(twist[part]),
@@ -158,7 +160,7 @@ def stretches(
             "yaw": yaw[part[[0, -1]]],
             "poses": part_means(poses[part]),
             "point": point[part].mean(axis=0),
-            "seen": _errors(seen.covariance[middle], seen.late[middle], into[middle], shared),
+            "seen": into_object @ seen_errors(seen.covariance[middle], seen.late[middle], shared),
         }
         found.append(Stretch(part, yaw[part], motion))
     return found
@@ -190,30 +192,21 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
     Raises:
         InvalidValueError: it never touches.
     """
-    inside = np.flatnonzero(trajectory.segment >= 0)
-    if len(inside) < _SMOOTH:
+    inside = trajectory.segment >= 0
+    if inside.sum() < _SMOOTH:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
     across = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
     across = np.convolve(np.pad(across, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
     force, free = across[inside], across[trajectory.mask(Phase.TARE)]
     usual = np.quantile(force, 0.9)
-    touches = force > TOUCHING * usual
-    if not touches.any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
+    if not (force > TOUCHING * usual).any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
-    runs = np.split(inside[touches], np.flatnonzero(np.diff(inside[touches]) > 1) + 1)
-    return max(runs, key=len)
+    return max(runs(inside & (across > TOUCHING * usual)), key=len)
 
 
 def _count(time: Float[np.ndarray, "N"], pace: float) -> int:
     """Number of windows in times at even steps [s]."""
     return int(len(time) * float(np.median(np.diff(time))) / (pace * WINDOW) + 1e-6) if len(time) > 1 else 0
-
-
-def _errors(
-    covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], into: Float[np.ndarray, "2 2"], shared: float
-) -> Float[np.ndarray, "9 10"]:
-    """Effects of the camera's errors on pose, twist and acceleration, along the object's axes."""
-    return block_diag(*[into, [[1.0]]] * 3) @ seen_errors(covariance, late, shared)
 
 
 def seen_errors(

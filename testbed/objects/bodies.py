@@ -92,16 +92,6 @@ def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
     return boxes
 
 
-@dataclass(frozen=True)
-class Hinge:
-    """Vertical hinge at the origin of the link that it leads to."""
-
-    name: str
-    """Name: hinge_0, hinge_1."""
-    friction: float
-    """Torque of its Coulomb friction [N m]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Link:
     """Rigid part of an object: the whole of a rigid one, or a link of a chain."""
@@ -112,8 +102,10 @@ class Link:
     """Origin of its frame [m], object frame, shape (3,): on its hinge; zero of the first."""
     boxes: tuple[Box, ...]
     """Its boxes, in its frame."""
-    hinge: Hinge | None
-    """Hinge that joins it to the link before; None of the first."""
+    hinge: str
+    """Name of the vertical hinge at its origin, to the link before: hinge_0, hinge_1; empty of the first."""
+    hinge_friction: float
+    """Torque of Coulomb friction of that hinge [N m]."""
 
     @property
     def body(self) -> RigidBody:
@@ -139,12 +131,12 @@ def links_of(
     if shape.chain is not None:
         places = np.pad(shape.chain.hinges, ((1, 0), (0, 1)))  # the first link keeps the object's frame
         link_of_group = shape.chain.link
-    hinges = [None, *(Hinge(f"hinge_{index}", float(torque)) for index, torque in enumerate(hinge_friction))]
     boxes, links = boxes_of(shape, distribution), []
-    for index, (origin, hinge) in enumerate(zip(places, hinges, strict=True)):
+    for index, (origin, torque) in enumerate(zip(places, (0.0, *hinge_friction), strict=True)):
         own = [box for box in boxes if link_of_group[box.group] == index]
-        called = f"link_{index}" if index else name
+        called, hinge = (f"link_{index}", f"hinge_{index - 1}") if index else (name, "")
         if sum(box.mass for box in own) <= 0:
             raise InvalidValueError("mass", f"{called} of 0 kg", "a mass > 0 in every link")
-        links.append(Link(called, origin, tuple(replace(box, center=box.center - origin) for box in own), hinge))
+        placed = tuple(replace(box, center=box.center - origin) for box in own)
+        links.append(Link(called, origin, placed, hinge, float(torque)))
     return links

@@ -119,13 +119,13 @@ def to_mjcf(exported: Exported, *, inertial: bool = False, scene: bool = False) 
         SubElement(body, "geom", _FLOOR)
         SubElement(body, "light", _LIGHT)
     for link in exported.links:
-        if link.hinge is None:
+        if not link.hinge:
             body = SubElement(body, "body", name=link.name)
             SubElement(body, "freejoint", name=link.name)
         else:
             body = SubElement(body, "body", name=link.name, pos=_row(link.origin - origin))
-            turns = {"name": link.hinge.name, "type": "hinge", "axis": "0 0 1"}
-            SubElement(body, "joint", turns | _STOPS, frictionloss=_row([link.hinge.friction]))
+            turns = {"name": link.hinge, "type": "hinge", "axis": "0 0 1"}
+            SubElement(body, "joint", turns | _STOPS, frictionloss=_row([link.hinge_friction]))
         origin = link.origin
         if inertial:
             pos, mass, full = (_row(v) for v in (link.body.center, [link.body.mass], _six(link.body.inertia)))
@@ -167,13 +167,12 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
                     SubElement(part, "origin", xyz=_row(box.center), rpy="0 0 0")
                     SubElement(SubElement(part, "geometry"), "box", size=_row(box.size))
     for near, far in pairwise(links):
-        assert far.hinge is not None
-        joint = SubElement(robot, "joint", name=far.hinge.name, type="continuous")
+        joint = SubElement(robot, "joint", name=far.hinge, type="continuous")
         SubElement(joint, "origin", xyz=_row(far.origin - near.origin), rpy="0 0 0")
         SubElement(joint, "parent", link=near.name)
         SubElement(joint, "child", link=far.name)
         SubElement(joint, "axis", xyz="0 0 1")
-        SubElement(joint, "dynamics", damping="0.0", friction=_row([far.hinge.friction]))
+        SubElement(joint, "dynamics", damping="0.0", friction=_row([far.hinge_friction]))
     return _text(robot)
 
 
@@ -198,12 +197,11 @@ def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
         for name in rest:
             _add_sdf_joint(model, f"{name}_fixed", "fixed", first, name)
     for near, far in pairwise(links):
-        assert far.hinge is not None
-        joint = _add_sdf_joint(model, far.hinge.name, "revolute", near.name, far.name)
+        joint = _add_sdf_joint(model, far.hinge, "revolute", near.name, far.name)
         axis = SubElement(joint, "axis")
         SubElement(axis, "xyz").text = "0 0 1"
         _add_texts(SubElement(axis, "limit"), lower=[-np.inf], upper=[np.inf])
-        _add_texts(SubElement(axis, "dynamics"), damping=[0.0], friction=[far.hinge.friction])
+        _add_texts(SubElement(axis, "dynamics"), damping=[0.0], friction=[far.hinge_friction])
     return _text(sdf)
 
 

@@ -141,18 +141,17 @@ def _straight(start: np.ndarray, along: np.ndarray, knots: np.ndarray, parameter
 @lru_cache(maxsize=1024)
 def _sampled(action: Lift) -> tuple[float, tuple[bool, ...]]:
     """Duration [s], and whether it accelerates in each stretch."""
-    profile = action.sampled(0.01)
+    step = 0.01
+    profile = action.sampled(step)
     first = np.unique(profile.segment[profile.segment >= 0], return_index=True)[1]
     moving = (profile.acceleration[profile.segment >= 0][first] != 0).any(axis=1)
-    return profile.duration, tuple(moving.tolist())
+    return len(profile.height) * step, tuple(moving.tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class LiftProfile:
     """Height and angles of a lift at N ticks; the first is one step after its start."""
 
-    step: float
-    """Time between ticks [s]."""
     height: Float[np.ndarray, "N"]
     """Height over the place where it lay [m]."""
     height_rate: Float[np.ndarray, "N"]
@@ -223,12 +222,7 @@ class LiftProfile:
             np.full(len(h), number if steady else -1) for (h, _, steady), number in zip(parts, numbers, strict=True)
         ]
         heights, turns = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts], axis=1)
-        return cls(step, heights[:, 0], heights[:, 1], turns[0], turns[1], turns[2], np.concatenate(segment))
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return len(self.height) * self.step
+        return cls(heights[:, 0], heights[:, 1], *turns, np.concatenate(segment))
 
 
 def _swings(

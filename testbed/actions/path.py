@@ -50,8 +50,6 @@ class Steady(NamedTuple):
 class Profile:
     """Progress of an action at N ticks; the first is one step after its start."""
 
-    step: float
-    """Time between ticks [s]."""
     distance: Float[np.ndarray, "N"]
     """Distance along the path since the start [rad or m]."""
     rate: Float[np.ndarray, "N"]
@@ -76,12 +74,7 @@ class Profile:
         segment = np.full(len(t), -1)
         for i, (begin, end) in enumerate(steady):
             segment[(t > begin + step / 2) & (t < end + step / 2)] = i
-        return cls(step, distance, rate, segment)
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return len(self.distance) * self.step
+        return cls(distance, rate, segment)
 
     @property
     def length(self) -> float:

@@ -145,10 +145,7 @@ class Push(Action, kind="push"):
         Raises:
             InfeasibleTrialError: no face there, or no room for the fingertip to come down.
         """
-        try:
-            gap = room_at(shape, self.path(shape, np.zeros(1))[0])
-        except InvalidValueError as error:
-            raise InfeasibleTrialError(f"push: {error}") from error
+        gap = room_at(shape, self._met(shape, np.zeros(1))[0])
         if gap < self.radius - 1e-9:
             raise InfeasibleTrialError(
                 f"push: the fingertip would come down {max(gap, 0.0) * 1e3:.1f} mm from the object with its radius of "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,12 @@ class Chain(ReadOnlyArrays):
         """Links that trail behind a hinge where the hand holds link `held`, the nearest first."""
         return list(range(hinge + 1, self.links)) if held <= hinge else list(range(hinge, -1, -1))
 
+    def outward(self, held: int) -> Iterator[tuple[int, int, int]]:
+        """Every other link than the one held, the one nearer the hand that carries it, and the hinge between them."""
+        for step in (1, -1):
+            for link in range(held + step, self.links if step > 0 else -1, step):
+                yield link, link - step, min(link, link - step)
+
     def moved(
         self,
         held: int,
@@ -73,18 +79,16 @@ class Chain(ReadOnlyArrays):
         """
         found = np.zeros((len(twist), self.links, 9))
         found[:, held, 3:6], found[:, held, 6:] = twist, acceleration
-        for step in (1, -1):
-            for link in range(held + step, self.links if step > 0 else -1, step):
-                near, hinge = found[:, link - step], self.hinges[min(link, link - step)] - point
-                angle, rate, slope = turned[:, link].T
-                joint = _turn(near[:, 0], hinge) + near[:, 1:3]
-                here = found[:, link]
-                here[:, 0], here[:, 5], here[:, 8] = angle, rate, slope
-                here[:, 1:3] = joint - _turn(angle, hinge)
-                side = perpendicular(joint)
-                here[:, 3:5] = near[:, 3:5] + (near[:, 5] - rate)[:, None] * side
-                squares = (near[:, 5] ** 2 - rate**2)[:, None]
-                here[:, 6:8] = near[:, 6:8] + (near[:, 8] - slope)[:, None] * side - squares * joint
+        for link, nearer, index in self.outward(held):
+            near, here, hinge = found[:, nearer], found[:, link], self.hinges[index] - point
+            angle, rate, slope = turned[:, link].T
+            joint = _turn(near[:, 0], hinge) + near[:, 1:3]
+            here[:, 0], here[:, 5], here[:, 8] = angle, rate, slope
+            here[:, 1:3] = joint - _turn(angle, hinge)
+            side = perpendicular(joint)
+            here[:, 3:5] = near[:, 3:5] + (near[:, 5] - rate)[:, None] * side
+            squares = (near[:, 5] ** 2 - rate**2)[:, None]
+            here[:, 6:8] = near[:, 6:8] + (near[:, 8] - slope)[:, None] * side - squares * joint
         return found
 
 

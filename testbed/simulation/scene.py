@@ -105,26 +105,21 @@ def _add_links(
     chain = obj.shape.chain
     assert chain is not None
     frames = {held: middle}
-    for step in (1, -1):
-        for link in range(held + step, chain.links if step > 0 else -1, step):
-            hinge = min(link, link - step)
-            body = frames[link - step].add_body(name=f"object/link_{link}")
-            if not support.is_rigid:
-                _add_slide(body, int(np.flatnonzero(chain.link == link)[0]))
-            body.add_joint(
-                name=f"hinge_{hinge}",
-                pos=(*chain.hinges[hinge], 0),
-                axis=(0, 0, 1),
-                frictionloss=obj.hinge_friction[hinge],
-                **HINGE_FRICTION,
-            )
-            frames[link] = body.add_frame()
-    for link, frame in frames.items():
-        if link == held:
-            continue
-        body = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": frame.parent.name}
-        spec.add_sensor(name=f"link_{link}/position", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, **body)
-        spec.add_sensor(name=f"link_{link}/orientation", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, **body)
+    for link, nearer, hinge in chain.outward(held):
+        body = frames[nearer].add_body(name=f"object/link_{link}")
+        if not support.is_rigid:
+            _add_slide(body, int(np.flatnonzero(chain.link == link)[0]))
+        body.add_joint(
+            name=f"hinge_{hinge}",
+            pos=(*chain.hinges[hinge], 0),
+            axis=(0, 0, 1),
+            frictionloss=obj.hinge_friction[hinge],
+            **HINGE_FRICTION,
+        )
+        frames[link] = body.add_frame()
+        of_body = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": body.name}
+        spec.add_sensor(name=f"link_{link}/position", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, **of_body)
+        spec.add_sensor(name=f"link_{link}/orientation", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, **of_body)
     return frames
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from testbed.errors import InvalidValueError
 from testbed.files import write_whole
 from testbed.frames import rotation_matrix
-from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, Grasp, ObjectShape
+from testbed.objects.model import ROBOTIQ_2F85, SPARE_OPENING, ObjectShape
 from testbed.sensing.camera import PoseStream
 from testbed.toml import toml_lists, toml_text
 from testbed.trajectory import Phase, Trajectory
@@ -93,6 +93,11 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
     if not trajectory.ok:
         raise InvalidValueError("trajectory.status", trajectory.status, "ok")
     grasp = None if action.grasp is None else shape.grasps[action.grasp]
+    grip = {}
+    if grasp is not None:
+        stroke = max(ROBOTIQ_2F85.stroke, grasp.width + SPARE_OPENING)
+        grip = {"closing_deg": _closing(trajectory, grasp.angle), "stroke_m": stroke}
+    joints = {"topic": "/joint_states", "position": [f"position.{name}" for name in JOINTS]}
     linear, angular = ([f"twist.{part}.{a}" for a in "xyz"] for part in ("linear", "angular"))
     bias, drift = trajectory.sensor_bias_std, trajectory.sensor_drift_std
     setup = {"preset": "ideal"} | {name: value for name, value in asdict(trajectory.setup).items() if value}
@@ -107,12 +112,9 @@ def mapping_text(trajectory: Trajectory, shape: ObjectShape, object_file: str, l
             "drift_std_N": float(drift[:3].max()),
             "drift_std_Nm": float(drift[3:].max()),
         },
-        "hand": {
-            "topic": "/tcp/pose",
-            **({} if grasp is None else _grip_map(trajectory, grasp)),
-        },
+        "hand": {"topic": "/tcp/pose", **grip},
         "velocity": {"topic": "/tcp/velocity", "linear": linear, "angular": angular},
-        **({"joints": _joint_map()} if trajectory.joint_position.any() else {}),
+        **({"joints": joints} if trajectory.joint_position.any() else {}),
         "tool": {
             "mass_kg": float(tool.mass),
             "com_m": tool.com.tolist(),
@@ -240,11 +242,6 @@ def _closing(trajectory: Trajectory, angle: float) -> float:
     return round(math.degrees(math.remainder(found, math.tau)), 9) + 0.0  # not -0
 
 
-def _grip_map(trajectory: Trajectory, grasp: Grasp) -> dict[str, float]:
-    stroke = max(ROBOTIQ_2F85.stroke, grasp.width + SPARE_OPENING)
-    return {"closing_deg": _closing(trajectory, grasp.angle), "stroke_m": stroke}
-
-
 def _camera_map(camera: PoseStream) -> dict[str, Any]:
     return {
         "position_std_m": camera.position_std,
@@ -253,10 +250,6 @@ def _camera_map(camera: PoseStream) -> dict[str, Any]:
         "delay_std_s": camera.delay_std,
         "parts": [{"topic": _PART.format(part)} for part in range(camera.parts)],
     }
-
-
-def _joint_map() -> dict[str, Any]:
-    return {"topic": "/joint_states", "position": [f"position.{name}" for name in JOINTS]}
 
 
 def _windows(trajectory: Trajectory) -> list[dict[str, Any]]:

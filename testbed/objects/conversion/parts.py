@@ -21,6 +21,8 @@ MOST_PARTS = 12
 WAYS = (
     f"1 to {MOST_PARTS} parts, planes as 0.3,0.6, bodies, colours, clusters or clusters:3, or a PLY of labelled points"
 )
+LABELS = ("segmentation", "label", "labels", "class", "part")
+"""Properties of a point that may be its label."""
 NEIGHBOURS = 5
 """Points of a label whose mean distance counts."""
 CLUSTERS = 3
@@ -75,16 +77,9 @@ def labelled(surface: Surface, path: Path) -> Surface:
         raise InvalidValueError("parts", str(path), WAYS)
     cloud = trimesh.load(path)
     data = cloud.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    data = {} if data is None else data  # a dict of text files, an array of binary ones
-    name = next(
-        (
-            n
-            for n in (data if isinstance(data, dict) else data.dtype.names)
-            if n.lower() in ("segmentation", "label", "labels", "class", "part")
-        ),
-        None,
-    )
-    if name is None:
+    names = () if data is None else data if isinstance(data, dict) else data.dtype.names  # of text, of binary files
+    name = next((name for name in names if name.lower() in LABELS), None)
+    if data is None or name is None:
         raise InvalidValueError("parts", path.name, "a PLY with a property segmentation, label, class or part")
     points = np.column_stack([data[axis] for axis in "xyz"]).astype(float)
     span, wanted = np.ptp(points, axis=0).max(), np.ptp(surface.points, axis=0).max()

@@ -235,15 +235,12 @@ def _is_number_type(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, int | float | np.number) and annotation is not bool
 
 
-def _has_range(annotation: Any) -> bool:
-    return get_origin(annotation) is Annotated and any(isinstance(a, Range) for a in get_args(annotation))
-
-
 def _lacks_range(annotation: Any) -> bool:
     """True if a type of numbers in an annotation has no range."""
-    if _has_range(annotation) or get_origin(annotation) is Literal:
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Literal or (origin is Annotated and any(isinstance(each, Range) for each in inner)):
         return False
-    return _is_number_type(annotation) or any(map(_lacks_range, get_args(annotation)))
+    return _is_number_type(annotation) or any(map(_lacks_range, inner))
 
 
 def _numbers(value: object) -> Iterator[object]:

@@ -47,7 +47,8 @@ def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
         ParserError: the parser refuses the file, or needs too much memory or time.
         ImportError: a package is not installed; the message is its name.
     """
-    seconds = SECONDS + SECONDS_PER_MB * _size(path) // 10**6
+    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else (path,)))
+    seconds = SECONDS + SECONDS_PER_MB * size // 10**6
     with TemporaryDirectory(prefix="heft_") as folder:
         result = Path(folder) / "result"
         code, said = ended(module, (str(path), *words, str(result)), seconds)
@@ -114,8 +115,3 @@ def refusal(main: Callable[..., None], words: Sequence[str]) -> str:
     except BaseException as error:
         return " ".join(f"refused: {str(error) or type(error).__name__}".splitlines())
     return ""
-
-
-def _size(path: Path) -> int:
-    """Size of a file, or of the files in a folder [B]."""
-    return sum(each.stat().st_size for each in path.iterdir()) if path.is_dir() else path.stat().st_size

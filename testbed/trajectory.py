@@ -239,11 +239,7 @@ def header_of(trajectory: Trajectory) -> dict[str, Any]:
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
     path = Path(path)
-    columns: dict[str, np.ndarray] = {
-        "time_s": trajectory.time_s,
-        "phase": trajectory.phase,
-        "segment": trajectory.segment,
-    }
+    columns: dict[str, np.ndarray] = {name: getattr(trajectory, name) for name in ("time_s", "phase", "segment")}
     for name, units in SERIES.items():
         columns |= {f"{name}.{unit}": getattr(trajectory, name)[:, i] for i, unit in enumerate(units)}
     table = _with_camera(pa.table(columns), trajectory.camera)

@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.sensing.compensation import tare_biases, tare_samples
-from testbed.trajectory import Phase, Trajectory
+from testbed.trajectory import SERIES, Phase, Trajectory
 from testbed.validation import check_positive_fields, freeze_arrays
 
 ANOTHER_UNIT = 30.0
 """Drift of the torque over its limit from which, beside a steady force, its unit is in doubt. Ours."""
-_AXES = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 
 @dataclass(frozen=True)
@@ -97,9 +96,9 @@ def judge_drift(trajectory: Trajectory, limit: DriftLimit) -> Trajectory:
     of its sensor, and more where the tares show more: two tares meet by chance too. `provenance["drift"]` says which.
     """
     biases, drift = tare_biases(trajectory), drift_of(trajectory)
-    figures = dict(trajectory.figures)
+    figures, axes = dict(trajectory.figures), SERIES["sensor_wrench"]
     for when, bias in zip(("before", "after"), biases[:1] + biases[1:][-1:], strict=False):
-        figures |= {f"bias_{when}_{axis}": float(value) for axis, value in zip(_AXES, bias, strict=True)}
+        figures |= {f"bias_{when}_{axis}": float(value) for axis, value in zip(axes, bias, strict=True)}
     assumed = trajectory.sensor_drift_std
     if drift is None:
         said = f"assumed, for want of a second tare: {_in_words(assumed)}"

@@ -22,7 +22,7 @@ _TIP_DAMPING = 20.0
 large one the fingertip bounces along its face."""
 _THIN = 2.5e-4
 """Half the depth of a thin face's box [m]."""
-_UNSEEN = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
+UNSEEN = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
 _MOTION_SENSORS = {
     "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
     "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
@@ -182,10 +182,10 @@ def add_tip(spec: mujoco.MjSpec, tip: Fingertip, tcp_height: float) -> None:
     x, y, z = spec.site("gripper/tcp").pos
     radius, _, height = tip
     below = z + tcp_height - height
-    looks = _UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
+    looks = UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
     hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
     low = radius >= height
-    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(radius, 0, 0), **(_UNSEEN if low else looks))
+    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(radius, 0, 0), **(UNSEEN if low else looks))
     hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(radius / 2, 0, 0), **looks)
     if low:
         hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(radius, height / 2, 0), **looks)
@@ -218,7 +218,7 @@ def add_fingertip(
             pos=(x, y, 0),
             quat=(math.cos(angle / 2), 0, 0, math.sin(angle / 2)),
             size=(depth, face.length / 2, shape.height / 2),
-            **_UNSEEN,
+            **UNSEEN,
         )
         spec.add_pair(
             geomname1="fingertip",

@@ -42,18 +42,17 @@ def choose_window() -> None:
     Raises:
         NoGraphicsError: no display, or one that does not answer, or missing libraries.
     """
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not display:
         raise NoGraphicsError(
             "cannot open a window: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); "
             "heft view DIR TRIAL --film needs none"
         )
     os.environ["MUJOCO_GL"] = "glfw"
     os.environ.pop("PYOPENGL_PLATFORM", None)  # a process that draws without a display leaves "egl" to its children
-    error = _glfw_error()
-    if error is not None:
-        where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if (error := _glfw_error()) is not None:
         raise NoGraphicsError(
-            f"cannot open a window on display {where} ({error}); start one there, or install what windows need "
+            f"cannot open a window on display {display} ({error}); start one there, or install what windows need "
             f"(Debian, Ubuntu: apt-get install {WINDOW_PACKAGES}); heft view DIR TRIAL --film needs no display"
         )
 

@@ -73,7 +73,7 @@ class Monitor:
         self._status: Status = "ok"
         self._reason = ""
         self._state: dict[str, list[float]] = {}
-        self._good: dict[str, list[float]] = {}
+        self._good: list[float] = []
 
     def trouble(self, tick: int) -> bool:
         """Check one tick; True if the trial must end."""
@@ -84,11 +84,11 @@ class Monitor:
             self._state = {
                 "qpos": np.nan_to_num(self._data.qpos).tolist(),
                 "qvel": np.nan_to_num(self._data.qvel).tolist(),
-                "last_good_qpos": self._good.get("qpos", []),
+                "last_good_qpos": self._good,
             }
             return self._end("fault", f"the simulation diverged at {tick / self._rate:.2f} s")
         if tick % 50 == 0:
-            self._good = {"qpos": self._data.qpos.tolist()}
+            self._good = self._data.qpos.tolist()
         torque = np.abs(self._torques) / self._limit
         largest = torque.max()
         self._torque, self._speed = max(self._torque, largest), max(self._speed, fastest)

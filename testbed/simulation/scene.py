@@ -15,7 +15,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.colors import group_rgba
 from testbed.objects.files import asset_folder
 from testbed.objects.model import GRAVITY, STROKE, Grasp, ObjectModel, ObjectShape
-from testbed.simulation.contacts import add_feet, add_fingertip, lay_level, soften_feet
+from testbed.simulation.contacts import UNSEEN, add_feet, add_fingertip, lay_level, soften_feet
 from testbed.simulation.settings import ContactSettings, GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, Support
 from testbed.worlds.draw import WorldDraw
@@ -177,12 +177,9 @@ def add_grip(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=(x, y, (grasp.bottom + top) / 2 - shape.height / 2),
-            mass=0,
-            group=4,
             quat=(math.cos(grasp.angle / 2), 0, 0, math.sin(grasp.angle / 2)),
             size=(grasp.width / 2 / len(names), grasp.length / 2, (top - grasp.bottom) / 2),
-            contype=0,
-            conaffinity=0,
+            **UNSEEN,
         )
     if grip.mode == "weld":
         weld = spec.add_equality(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from testbed.errors import InvalidValueError
-from testbed.validation import check_positive
+from testbed.validation import check_positive_fields
 
 MARGIN = 0.8
 """Usable part of a grip limit, since the estimate before a trial is quasi-static."""
@@ -33,8 +33,7 @@ class ContactSettings:
     """Radius of a foot's sphere [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("sag", "friction_damping", "impratio", "foot_radius"):
-            check_positive(f"ContactSettings.{name}", getattr(self, name))
+        check_positive_fields(self, "sag", "friction_damping", "impratio", "foot_radius")
         if not 1e-4 <= self.impedance < 1:
             raise InvalidValueError("ContactSettings.impedance", self.impedance, "a number from 1e-4 to below 1")
 
@@ -87,8 +86,7 @@ class SimulationSettings:
     """Outer loop of the arm."""
 
     def __post_init__(self) -> None:
-        check_positive("SimulationSettings.rate", self.rate)
-        check_positive("SimulationSettings.timestep", self.timestep)
+        check_positive_fields(self, "rate", "timestep")
         if self.steps < 1 or abs(self.steps * self.timestep * self.rate - 1) > 1e-9:
             allowed = f"{1 / self.rate:g} s, the time between samples, or a whole part of it"
             raise InvalidValueError("SimulationSettings.timestep", self.timestep, allowed)

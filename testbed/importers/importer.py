@@ -81,7 +81,20 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         grasp = model.shape.grasps[action.grasp]
         yaw, grip = closing_yaw(hand, table.hand) - grasp.angle, grasp.position
     sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
-    tool = table.tool
+    tool, since_1970 = table.tool, _SINCE_1970[0] < begin < _SINCE_1970[1]
+    origin = {
+        "runner": "import",
+        "object": model.name,
+        "log": log.name,
+        "stretch": entry.stretch or None,
+        "sensor log": table.sensor.file,
+        "recorded": datetime.fromtimestamp(begin, UTC).isoformat(timespec="milliseconds") if since_1970 else None,
+        "joints": "as logged" if joints else "not logged: zeros",
+        "velocity": "as logged" if velocity else "from the pose",
+        "phases": "as mapped" if table.phases else "from the motion",
+        "left out": streams.left_out or None,
+        "delay": str(delay or NO_DELAY) if table.separate or delay else None,
+    }
     trajectory = Trajectory(
         action=action,
         status="ok",
@@ -102,23 +115,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         sensor_drift_std=np.repeat([table.sensor.drift_std_N, table.sensor.drift_std_Nm], 3),
         setup=table.setup,
         camera=streams.camera(table, base),
-        provenance={
-            "runner": "import",
-            "object": model.name,
-            "log": log.name,
-            **({"stretch": entry.stretch} if entry.stretch else {}),
-            **({"sensor log": table.sensor.file} if table.sensor.file else {}),
-            **(
-                {"recorded": datetime.fromtimestamp(begin, UTC).isoformat(timespec="milliseconds")}
-                if _SINCE_1970[0] < begin < _SINCE_1970[1]
-                else {}
-            ),
-            "joints": "as logged" if joints else "not logged: zeros",
-            "velocity": "as logged" if velocity else "from the pose",
-            "phases": "as mapped" if table.phases else "from the motion",
-            **({"left out": streams.left_out} if streams.left_out else {}),
-            **({"delay": str(delay or NO_DELAY)} if table.separate or delay else {}),
-        },
+        provenance={name: words for name, words in origin.items() if words is not None},
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
     trajectory = as_seen(compensate(trajectory, zeroed=table.sensor.zeroed))

@@ -125,17 +125,11 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     if wrong := [name for name in grasps if name not in names]:
         raise InvalidValueError("--grasps", wrong[0], f"some of {', '.join(names)}{nearest(wrong[0], names)}")
     streams = Streams.of(open_log(log, table), table, mapping.parent)
-    base = common_base(streams.needed, table.longest_gap_s)
-    position, hand = streams.tcp(table, base)
-    sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
-    wrench = table.sensor.sign * resampled(streams.wrench, base) / gain
-    lying = _Lying.of(streams, table, base, shape)
-    time, yaw, twist = base - streams.begin_s, closing_yaw(hand, table.hand), differentiated(position, hand)
-    motion = _Motion(time, position, yaw, twist, wrench, sensor, lying, table.sensor.zeroed)
+    motion = _Motion(streams, table, gain, shape)
     found = _trials(motion.segments())
     none = not any(segment.action or segment.reason for segment in found)
     try:
-        check_sensor_alive(streams.wrench, base[[0, -1 if none else 0]], table.sensor.measured)
+        check_sensor_alive(streams.wrench, motion.base[[0, -1 if none else 0]], table.sensor.measured)
     except LogError as error:
         raise LogError(f"{log}: {error}") from None
     if none:
@@ -172,20 +166,16 @@ class _Lying:
 class _Motion:
     """Motion and wrench of the hand at 100 Hz."""
 
-    def __init__(
-        self,
-        time: np.ndarray,
-        position: np.ndarray,
-        yaw: np.ndarray,
-        twist: np.ndarray,
-        wrench: np.ndarray,
-        sensor: Rotation,
-        lying: _Lying | None,
-        zeroed: bool,
-    ):
-        self.lying, self.zeroed, self.force = lying, zeroed, uniform_filter1d(wrench[:, :3], _IMPACT, axis=0)
-        self.time, self.position, self.yaw, self.sensor = time, position, yaw, sensor
-        self.height, size = position[:, 2], round(_SMOOTHING * RATE)
+    def __init__(self, streams: Streams, table: Mapping, gain: np.ndarray, shape: ObjectShape):
+        self.base = common_base(streams.needed, table.longest_gap_s)
+        self.position, hand = streams.tcp(table, self.base)
+        self.sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
+        self.lying, self.zeroed = _Lying.of(streams, table, self.base, shape), table.sensor.zeroed
+        self.time, self.yaw = self.base - streams.begin_s, closing_yaw(hand, table.hand)
+        wrench = table.sensor.sign * resampled(streams.wrench, self.base) / gain
+        twist = differentiated(self.position, hand)
+        self.force = uniform_filter1d(wrench[:, :3], _IMPACT, axis=0)
+        self.height, size = self.position[:, 2], round(_SMOOTHING * RATE)
         self.twist, self.wrench = (uniform_filter1d(values, size, axis=0) for values in (twist, wrench))
         self.noise = (wrench - self.wrench).std(axis=0) / size**0.5
         self.quick = twist[:, 5]

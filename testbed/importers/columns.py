@@ -35,13 +35,7 @@ def _unit_of(quantity: str, *others: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-TimeUnit = Annotated[str, _unit_of("time", ISO)]
-LengthUnit = Annotated[str, _unit_of("length")]
 AngleUnit = Annotated[str, _unit_of("angle")]
-SpeedUnit = Annotated[str, _unit_of("speed")]
-TurnRateUnit = Annotated[str, _unit_of("turn rate")]
-ForceUnit = Annotated[str, _unit_of("force")]
-TorqueUnit = Annotated[str, _unit_of("torque")]
 Text = Annotated[str, Field(min_length=1)]
 Cell = Text | Finite
 """Column by name, or a constant."""
@@ -63,7 +57,7 @@ class TimeMap(Table):
     """The [time] table."""
 
     column: Text | None = None
-    unit: TimeUnit = "s"
+    unit: Annotated[str, _unit_of("time", ISO)] = "s"
 
 
 class SensorMap(Table):
@@ -77,8 +71,8 @@ class SensorMap(Table):
     torque: Three | None = None
     axes: Literal["sensor", "base"] = "sensor"
     torque_about: Literal["sensor", "tcp"] = "sensor"
-    force_unit: ForceUnit = "N"
-    torque_unit: TorqueUnit = "N m"
+    force_unit: Annotated[str, _unit_of("force")] = "N"
+    torque_unit: Annotated[str, _unit_of("torque")] = "N m"
     calibration: Text | None = None
     zeroed: bool = False
     sign: Literal[1, -1] = 1
@@ -107,7 +101,7 @@ class PoseMap(Table):
     frame: Text | None = None
     base: Text | None = None
     position: Annotated[list[Cell], Field(min_length=2, max_length=3)] | None = None
-    position_unit: LengthUnit = "m"
+    position_unit: Annotated[str, _unit_of("length")] = "m"
     orientation: Annotated[list[Cell], Field(min_length=1, max_length=9)] | None = None
     orientation_as: OrientationAs = "wxyz"
     angle_unit: AngleUnit = "rad"
@@ -187,8 +181,8 @@ class VelocityMap(Table):
     topic: Text | None = None
     linear: Three
     angular: Three
-    linear_unit: SpeedUnit = "m/s"
-    angular_unit: TurnRateUnit = "rad/s"
+    linear_unit: Annotated[str, _unit_of("speed")] = "m/s"
+    angular_unit: Annotated[str, _unit_of("turn rate")] = "rad/s"
 
 
 class JointMap(Table):

@@ -231,8 +231,3 @@ def add_fingertip(
         )
     for name, kind in _MOTION_SENSORS.items():
         spec.add_sensor(name=f"object/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="object")
-
-
-def touches(data: mujoco.MjData, geom: int) -> bool:
-    """True if a geom is in contact."""
-    return bool((data.contact.geom == geom).any())

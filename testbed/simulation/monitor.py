@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from testbed.actions.push import LEAST_CONTACT
 from testbed.foot_forces import FootForces
-from testbed.simulation.contacts import touches
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion
 from testbed.simulation.scene import Scene
 from testbed.simulation.settings import SimulationSettings
@@ -118,7 +117,7 @@ class Monitor:
 
     def _left(self, tick: int) -> bool:
         """True once the fingertip of a push has left the object."""
-        if touches(self._data, self._tip or 0):
+        if (self._data.contact.geom == self._tip).any():
             self._touched, self._since = self._touched + 1, 0
             return False
         self._since += bool(self._touched)

@@ -36,8 +36,6 @@ _PLACE_KG = 0.1
 NEAR, NEAR_CELLS = 0.01, 1.5
 """Greatest distance of a hinge from the nearest particle of a link that it joins [m], or so many cells if more."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w.-]+$")]
-
-
 Side = Annotated[float, Field(ge=0.001, le=1, allow_inf_nan=False)]
 
 

@@ -35,18 +35,6 @@ from testbed.trial import Trial
 from testbed.worlds.seeds import new_secret
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
-_SENSORS = {
-    "force": "ft/force",
-    "torque": "ft/torque",
-    "sensor_position": "ft/position",
-    "sensor_orientation": "ft/orientation",
-    "tcp_position": "gripper/tcp_position",
-    "tcp_orientation": "gripper/tcp_orientation",
-    "tcp_velocity": "gripper/tcp_velocity",
-    "tcp_angular_velocity": "gripper/tcp_angular_velocity",
-}
-
-_SEEN = {name: f"object/{name}" for name in ("position", "orientation", "velocity", "angular_velocity")}
 _SETTLE_TIME, _READ_TIME = 1.0, 0.5
 _SHIFTS = (1.0, 0.5, 0.0)
 TOLERANCE_IN_AIR = 1e-12
@@ -204,23 +192,28 @@ def _trajectory(
     outcome: Outcome,
 ) -> Trajectory:
     pushed = trial.action.pushes
-    s = {
-        name: record[:, (a := model.sensor(key).adr[0]) : a + model.sensor(key).dim[0]]
-        for name, key in (_SENSORS | (_SEEN if pushed else {})).items()
-    }
-    # A step moves by the velocity at its end: the one that goes with a position is half a step younger
     part = settings.rate * model.opt.timestep / 2
-    s |= {n: v + part * np.diff(v, axis=0, append=v[-1:]) for n, v in s.items() if n.endswith("velocity")}
-    twist = np.hstack([s["tcp_velocity"], s["tcp_angular_velocity"]])
+
+    def read(name: str) -> np.ndarray:
+        first = model.sensor(name).adr[0]
+        return record[:, first : first + model.sensor(name).dim[0]]
+
+    def moving(name: str) -> np.ndarray:
+        """A step moves by the velocity at its end: the one that goes with a position is half a step younger."""
+        at_end = read(name)
+        return at_end + part * np.diff(at_end, axis=0, append=at_end[-1:])
+
+    tcp = read("gripper/tcp_position")
+    twist = np.hstack([moving("gripper/tcp_velocity"), moving("gripper/tcp_angular_velocity")])
     if pushed:
-        yaw = np.unwrap(Rotation.from_quat(s["orientation"], scalar_first=True).as_euler("ZYX")[:, 0])
-        pose = np.column_stack([s["position"][:, :2], yaw])
-        velocity, width = np.column_stack([s["velocity"][:, :2], s["angular_velocity"][:, 2]]), 0.0
+        yaw = np.unwrap(Rotation.from_quat(read("object/orientation"), scalar_first=True).as_euler("ZYX")[:, 0])
+        pose, width = np.column_stack([read("object/position")[:, :2], yaw]), 0.0
+        velocity = np.column_stack([moving("object/velocity")[:, :2], moving("object/angular_velocity")[:, 2]])
     else:
         grasp = trial.grasp
-        closing = rotation_matrix(s["tcp_orientation"])[:, :, 0]
+        closing = rotation_matrix(read("gripper/tcp_orientation"))[:, :, 0]
         yaw = np.unwrap(np.arctan2(closing[:, 1], closing[:, 0])) - grasp.angle
-        pose = pose_from_point(s["tcp_position"][:, :2], grasp.position, yaw)
+        pose = pose_from_point(tcp[:, :2], grasp.position, yaw)
         velocity = origin_velocity(twist, yaw, grasp.position)
         width = grasp.width if settings.grip.mode == "friction" else grasp.opening or STROKE
     count = len(record)
@@ -236,10 +229,10 @@ def _trajectory(
         segment=motion.segment[:count],
         object_pose=pose,
         object_velocity=velocity,
-        tcp_position=s["tcp_position"],
+        tcp_position=tcp,
         tcp_velocity=twist,
-        sensor_orientation=s["sensor_orientation"],
-        sensor_wrench=np.hstack([s["force"], s["torque"]]),
+        sensor_orientation=read("ft/orientation"),
+        sensor_wrench=np.hstack([read("ft/force"), read("ft/torque")]),
         wrench_on_object_world=np.zeros((count, 6)),
         joint_position=record[:, joints],
         tool=gripper_tool(width),

@@ -75,7 +75,7 @@ class Servo:
         if self._tares[tick]:
             self._tare = self._wrench_world()
         elif self._motion.nulling[tick]:
-            nulls = self._settles[tick] or self._motion.closed
+            nulls = self._settles[tick] or self._motion.action.pushes
             gain = self._settings.servo.null_gain if nulls else self._settings.servo.comply_gain
             self._shift -= gain * self._dt / _NULL_TIME_CONSTANT * self._deflection()
 
@@ -89,7 +89,7 @@ class Servo:
         torque = wrench[3:] - np.cross(self._tcp_at - self._place, force)
         height = self._tcp_at[2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
-        if self._motion.closed:  # a push tilts what it pushes: only the force up or down is unwanted
+        if self._motion.action.pushes:  # a push tilts what it pushes: only the force up or down is unwanted
             unwanted[3:] = 0.0
         mujoco.mj_jacSite(self._data.model, self._data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7].T @ unwanted / self._stiffness

@@ -62,10 +62,10 @@ class Monitor:
         self._axes, self._object_at = body.xmat.reshape(3, 3), body.xpos
         self._limit = model.jnt_actfrcrange[:7, 1]
         self._held = (motion.phase >= Phase.SETTLE) & (motion.phase != Phase.RELEASE)
-        self._shift = _shift_in_space if motion.in_the_air else _shift_on_table
+        self._shift = _shift_in_space if motion.action.in_air else _shift_on_table
         self._grasped: _PoseInHand | None = None
-        self._tip = model.geom("fingertip").id if motion.closed else None
-        self._touched, self._least_touched = 0, LEAST_CONTACT * motion.pace * self._rate
+        self._tip = model.geom("fingertip").id if motion.action.pushes else None
+        self._touched, self._least_touched = 0, LEAST_CONTACT * motion.action.pace * self._rate
         self._since = 0
         self._saturated = _NONE
         self._torque = self._speed = self._slip = self._turn = 0.0

@@ -138,6 +138,8 @@ def joints_along(path: ToolPath, height: float, start: np.ndarray) -> tuple[np.n
 class Motion:
     """Joint targets and grip at every record tick, N ticks."""
 
+    action: Action
+    """Action that it makes."""
     start: np.ndarray
     """First joint angles [rad], shape (7,)."""
     object_pose: np.ndarray
@@ -156,12 +158,6 @@ class Motion:
     """Part of the grip force, -1 (opening) to 1, shape (N,)."""
     nulling: np.ndarray
     """True while load and tilt are nulled, shape (N,)."""
-    in_the_air: bool
-    """True if the object leaves the table."""
-    pace: float = 1.0
-    """`Action.pace`."""
-    closed: bool = False
-    """True if the fingers are closed all along: they push."""
 
 
 def plan_motion(
@@ -222,4 +218,4 @@ def plan_motion(
         hold(Phase.RELEASE, q[-1], _OPEN_TIME, (-0.05, -0.05))
     joined = map(np.concatenate, zip(*parts, strict=True))
     x, y = action.center(shape)
-    return Motion(q_hover, pose, (x, y), *joined, in_the_air=action.in_air, pace=action.pace, closed=action.pushes)
+    return Motion(action, q_hover, pose, (x, y), *joined)

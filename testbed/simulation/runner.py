@@ -153,14 +153,14 @@ class SimulationRunner:
 def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
     """Put arm and object at the start of a motion, with a finer solver for an object that leaves the table."""
     model = scene.model
-    if motion.in_the_air:
+    if motion.action.in_air:
         model.opt.tolerance = TOLERANCE_IN_AIR
     x, y = transform_point(motion.object_pose, np.array(scene.origin))
     yaw = motion.object_pose[2]
     data.qpos[:7] = data.act[:7] = motion.start
     for finger in ("gripper/left_finger", "gripper/right_finger"):
         joint = model.joint(finger)
-        data.qpos[joint.qposadr[0]] = joint.range[1 if motion.closed else 0]
+        data.qpos[joint.qposadr[0]] = joint.range[1 if motion.action.pushes else 0]
     address = model.joint("object").qposadr[0]
     data.qpos[address : address + 2] = x, y
     data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)

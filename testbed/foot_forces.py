@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.files import load_sealed, read_table, write_table
-from testbed.validation import freeze_arrays, frozen_array
+from testbed.validation import freeze_arrays
 
 _AXES = ("fx_N", "fy_N", "fz_N")
 
@@ -31,10 +31,9 @@ class FootForces:
         particle = np.array(self.particle)
         if particle.ndim != 1 or not np.issubdtype(particle.dtype, np.integer):
             raise InvalidValueError("FootForces.particle", f"{particle.dtype} of shape {particle.shape}", "integers")
-        time = frozen_array("FootForces.time_s", self.time_s, (None,))
-        object.__setattr__(self, "time_s", time)
+        freeze_arrays(self, time_s=(None,))
         object.__setattr__(self, "particle", particle)
-        freeze_arrays(self, force=(len(time), len(particle), 3))
+        freeze_arrays(self, force=(len(self.time_s), len(particle), 3))
 
 
 def save_foot_forces(feet: FootForces, path: Path) -> None:

@@ -286,15 +286,14 @@ class Solid:
     """Mass [kg]."""
 
     def __post_init__(self) -> None:
-        vertices = frozen_array("Solid.vertices", self.vertices, (None, 3))
+        freeze_arrays(self, vertices=(None, 3))
         faces = np.array(self.faces)
         if faces.ndim != 2 or faces.shape[1:] != (3,) or not np.issubdtype(faces.dtype, np.integer):
             raise InvalidValueError("Solid.faces", f"shape {faces.shape}", "integers of shape (n, 3)")
-        if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-            raise InvalidValueError("Solid.faces", faces.tolist(), f"indices from 0 to {len(vertices) - 1}")
+        if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(self.vertices):
+            raise InvalidValueError("Solid.faces", faces.tolist(), f"indices from 0 to {len(self.vertices) - 1}")
         check_positive_fields(self, "mass")
         faces.flags.writeable = False
-        object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         if self.volume <= 0:
             raise InvalidValueError("Solid.faces", f"a volume of {self.volume:g} m^3", "triangles that face outwards")

@@ -209,8 +209,7 @@ class ContactLog:
     """Recorder of a `ContactRecord` at every `every`-th tick of a trial."""
 
     def __init__(self, every: int = 1) -> None:
-        self._every = every
-        self._ticks: list[int] = []
+        self._every, self._rows = every, 0
 
     def start(self, scene: Scene, ticks: int) -> None:
         """Allocate a trial of `ticks` samples."""
@@ -225,9 +224,10 @@ class ContactLog:
 
     def measure(self, data: mujoco.MjData, tick: int) -> None:
         """Read the contacts of all feet."""
-        if tick % self._every:
+        row, between = divmod(tick, self._every)
+        if between:
             return
-        row, contact = len(self._ticks), data.contact
+        contact, self._rows = data.contact, row + 1
         feet = self._foot[contact.geom]
         found = np.flatnonzero((feet.max(axis=1, initial=-1) >= 0) & (contact.efc_address >= 0))
         foot = feet[found].max(axis=1)
@@ -238,11 +238,9 @@ class ContactLog:
         self._force[row, foot] = sign[:, None] * on_second
         self._position[row, foot] = contact.pos[found]
         self._tcp[row] = data.site_xpos[self._tcp_site]
-        self._ticks.append(tick)
 
     def record(self) -> ContactRecord:
         """Record so far."""
-        n = len(self._ticks)
-        return ContactRecord(
-            np.array(self._ticks, dtype=np.int64), self._force[:n], self._position[:n], self._tcp[:n], self._particle
-        )
+        n = self._rows
+        ticks = self._every * np.arange(n)
+        return ContactRecord(ticks, self._force[:n], self._position[:n], self._tcp[:n], self._particle)

@@ -106,16 +106,13 @@ def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
     if not delays:
         return None
     weights = np.array([delay.std**-2 for delay in delays])
-    mean, std = (
-        float(np.average([d.seconds for d in delays], weights=weights)),
-        max(float(weights.sum() ** -0.5), _MODEL_ERROR),
-    )
+    mean = float(np.average([d.seconds for d in delays], weights=weights))
     if far := [d for d in delays if abs(d.seconds - mean) > 5 * d.std]:
         one, all_ = 1e3 * far[0].seconds, 1e3 * mean
         raise LogError(
             f"delay: {one:.1f} ms in one turn and {all_:.1f} ms in all; allowed: the same clocks in all logs"
         )
-    return Delay(mean, std)
+    return Delay(mean, max(float(weights.sum() ** -0.5), _MODEL_ERROR))
 
 
 def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.ndarray]:

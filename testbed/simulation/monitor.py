@@ -173,9 +173,8 @@ def _shift_on_table(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float
 def _shift_in_space(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float]:
     """Shift [m] and turn [rad] in all directions."""
     turn = now[1] @ before[1].T
-    return float(np.linalg.norm(now[0] - turn @ before[0])), float(
-        np.linalg.norm(Rotation.from_matrix(turn).as_rotvec())
-    )
+    shift, turned = now[0] - turn @ before[0], Rotation.from_matrix(turn).as_rotvec()
+    return float(np.linalg.norm(shift)), float(np.linalg.norm(turned))
 
 
 @dataclass(frozen=True, eq=False)

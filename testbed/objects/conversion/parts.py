@@ -170,8 +170,7 @@ def _by_labels(surface: Surface) -> list[Manifold]:
 
 def _region(body: Manifold, trees: list[KDTree]) -> Manifold:
     """Region in which the points of the first tree are nearer than any others', as a body about another one."""
-    box = np.array(body.bounding_box())
-    low, high = box[:3], box[3:]
+    low, high = np.reshape(body.bounding_box(), (2, 3))
     step = float((high - low).max()) / NODES
     low, high = low - 2 * step, high + 2 * step
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]

@@ -14,6 +14,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -243,23 +244,19 @@ def write_samples(path: Path, trials: Iterable[pa.Table]) -> None:
     """Write the samples of all trials, whole or not at all; a row group a trial, so that one is read by itself."""
 
     def write(part: Path) -> None:
-        writer = None
-        try:
-            for table in trials:
-                floats = [f"{PREFIX}{name}.list.element" for name in SERIES]
-                if writer is None:
-                    writer = pq.ParquetWriter(
-                        part,
-                        table.schema,
-                        compression="zstd",
-                        compression_level=9,
-                        use_dictionary=False,
-                        column_encoding=dict.fromkeys([*floats, "time_s", "timestamp"], "BYTE_STREAM_SPLIT"),
-                    )
+        tables = iter(trials)
+        first = next(tables)
+        floats = [f"{PREFIX}{name}.list.element" for name in SERIES]
+        with pq.ParquetWriter(
+            part,
+            first.schema,
+            compression="zstd",
+            compression_level=9,
+            use_dictionary=False,
+            column_encoding=dict.fromkeys([*floats, "time_s", "timestamp"], "BYTE_STREAM_SPLIT"),
+        ) as writer:
+            for table in chain([first], tables):
                 writer.write_table(table)
-        finally:
-            if writer is not None:
-                writer.close()
 
     write_whole(path, write)
 

@@ -16,8 +16,6 @@ from scenarios.benchmark.dataset import PREFIX, SAMPLES, write_rows
 from testbed.files import write_text, write_whole
 from testbed.trajectory import SERIES
 
-FPS = 100
-"""Samples a second."""
 TASKS = {
     "rotate": "Turn the object on the table about a grasp.",
     "accelerate": "Turn the object on the table about a grasp with stepped acceleration.",
@@ -27,17 +25,6 @@ TASKS = {
     "lift": "Lift the object and tilt it in the air.",
 }
 """Task of each kind of action, in words."""
-SCALARS = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-    "time_s": "float64",
-    "phase": "int64",
-    "segment": "int64",
-}
-"""Types of the columns of one number."""
 
 
 def statistics(samples: Path) -> dict[str, dict[str, list[float]]]:
@@ -81,11 +68,13 @@ def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[
     write_rows(folder / "meta/episodes/chunk-000/file-000.parquet", episodes)
     frame = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
     write_whole(folder / "meta/tasks.parquet", frame.to_parquet)
-    plain = {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in SCALARS.items()}
-    series = {
-        PREFIX + name: {"dtype": "float32", "shape": [len(units)], "names": list(units)}
-        for name, units in SERIES.items()
+    features: dict[str, Any] = {
+        column.name: {"dtype": np.dtype(column.type.to_pandas_dtype()).name, "shape": [1], "names": None}
+        for column in pq.read_schema(folder / SAMPLES)
+        if not column.name.startswith(PREFIX)
     }
+    for name, units in SERIES.items():
+        features[PREFIX + name] = {"dtype": "float32", "shape": [len(units)], "names": list(units)}
     ranges = {name: [i for i, split in enumerate(splits) if split == name] for name in dict.fromkeys(splits)}
     info = {
         "codebase_version": "v3.0",
@@ -96,11 +85,11 @@ def write_meta(folder: Path, trials: Sequence[dict[str, Any]], splits: Sequence[
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "fps": FPS,
+        "fps": 100,
         "splits": {name: f"{own[0]}:{own[-1] + 1}" for name, own in ranges.items()},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
-        "features": plain | series,
+        "features": features,
     }
     for name, content in (("info", info), ("stats", statistics(folder / SAMPLES))):
         write_text(folder / f"meta/{name}.json", json.dumps(content, indent=1) + "\n")

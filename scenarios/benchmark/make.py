@@ -34,7 +34,6 @@ TRUTH_FILE = "truth_test.json"
 class Made:
     """Benchmark that has been made."""
 
-    folder: Path
     truth: Path
     """Truth of the test split, which is not to be published."""
     problems: tuple[Problem, ...]
@@ -42,14 +41,14 @@ class Made:
     """A line for each object that the robot cannot handle."""
 
 
-def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int, progress: Progress) -> Made:
+def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int | None, progress: Progress) -> Made:
     """Make the benchmark, or go on with it.
 
     Args:
         folder: published folder; the results folders, the secret and the truth of test lie beside it, in DIR-private.
         counts: problems of each kind and world, by split.
         secret: secret of the test split; a fresh one, or that of an earlier call, if left out.
-        workers: worker processes; 0 is this process.
+        workers: worker processes; 0 is this process, None one a core.
         progress: receives how far it is.
 
     Raises:
@@ -69,7 +68,7 @@ def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int,
             made += sorted(run.work_off(), key=lambda each: (wanted.index(each[0]), each[1].file.name))
             left_out += run.left_out
         problems = publish(folder.absolute(), [entry for _, entry in made], private / TRUTH_FILE, secret)
-    return Made(folder, private / TRUTH_FILE, tuple(problems), tuple(left_out))
+    return Made(private / TRUTH_FILE, tuple(problems), tuple(left_out))
 
 
 def _agreed(private: Path, secret: str | None) -> str:
@@ -109,7 +108,7 @@ class _Simulated:
             return False
         cell = self._waiting.popleft()
         try:
-            made, refused = experiments_of(cell.scenario(self._store), self._store, _silent)
+            made, refused = experiments_of(cell.scenario(self._store), self._store, lambda *_, **__: None)
         except InfeasibleTrialError as error:
             self.left_out.append(f"{cell.name}: {error}")
             return True
@@ -117,10 +116,6 @@ class _Simulated:
         self.left_out += [f"{each.name}: {each.reason}" for each in refused]
         self._run.waiting.extend(made)
         return True
-
-
-def _silent(stage: str, done: int, total: int, failed: int = 0) -> None:
-    """Progress that is not shown."""
 
 
 def _entry(cell: Cell, experiment: Experiment, store: Store) -> Entry:

@@ -151,6 +151,4 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise _TooSlow
 
 
-@lru_cache(maxsize=1)
-def _set_up_once(limits: Limits) -> None:
-    set_up_worker(limits)
+_set_up_once = lru_cache(maxsize=1)(set_up_worker)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import get_args
 
-from scenarios.execution.executor import Executor, ExecutorName, InlineExecutor, Limits
+from scenarios.execution.executor import Executor, ExecutorName, InlineExecutor, Limits, default_workers
 from scenarios.execution.local import LocalExecutor
 from scenarios.execution.ray import RayExecutor
 from testbed.errors import InvalidValueError
@@ -14,13 +14,13 @@ from testbed.errors import InvalidValueError
 
 @contextmanager
 def open_executor(
-    name: str, workers: int, limits: Limits | None = None, preload: Sequence[str] = ()
+    name: str, workers: int | None, limits: Limits | None = None, preload: Sequence[str] = ()
 ) -> Iterator[Executor]:
     """An executor by name, `local` with 0 workers being `inline`. Leaving it stops its workers.
 
     Args:
         name: inline, local or ray.
-        workers: number of workers.
+        workers: number of workers; None is one a core.
         limits: limits of a task.
         preload: modules that a local worker imports before the clock of its first task runs.
 
@@ -30,6 +30,7 @@ def open_executor(
     """
     if name not in get_args(ExecutorName):
         raise InvalidValueError("--executor", name, f"one of {', '.join(get_args(ExecutorName))}")
+    workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
     limits = limits or Limits()

@@ -17,7 +17,7 @@ from typing import Any
 import pandas as pd
 
 from scenarios.config import Grid, Scenario, Sweep, load_scenario
-from scenarios.execution.executor import Executor, default_workers, work_off
+from scenarios.execution.executor import Executor, work_off
 from scenarios.execution.select import open_executor
 from scenarios.results.files import exclusive, read_manifest, write_json
 from scenarios.results.store import Store, key_of, object_request
@@ -230,12 +230,12 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
     """
     methods = request.chosen()
     check_code(methods)
-    workers, begin = default_workers() if request.workers is None else request.workers, time.monotonic()
+    begin = time.monotonic()
     found, left_out = measured_trials(folder, request.objects, request.held_out)
     scenario = _scenario_of(found, methods)
     experiments = [_experiment_of(trials, scenario) for trials in found]
     store = Store(folder.absolute())
-    with exclusive(folder), open_executor("local", workers, preload=(__name__,)) as tasks:
+    with exclusive(folder), open_executor("local", request.workers, preload=(__name__,)) as tasks:
         store.remove_leftovers()
         table = ResultTable(store.root)
         estimates = EstimateRun(experiments, store, table, tasks, progress)

@@ -36,7 +36,7 @@ def answer(
     from scenarios.benchmark.methods import AnswerRun
     from scenarios.cli.run import MOST_LINES, show_progress
     from scenarios.config import load_scenario
-    from scenarios.execution.executor import default_workers, work_off
+    from scenarios.execution.executor import work_off
     from scenarios.execution.select import open_executor
     from scenarios.results.files import exclusive
     from scenarios.results.store import Store
@@ -48,10 +48,9 @@ def answer(
     opened = Benchmark.open(benchmark)
     problems = opened.of_split(split)
     chosen = load_scenario(DEFAULT_SCENARIO)[1].changed(methods=methods).methods
-    count = default_workers() if workers is None else workers
     with (
         exclusive(out),
-        open_executor("local", count, preload=(AnswerRun.__module__,)) as tasks,
+        open_executor("local", workers, preload=(AnswerRun.__module__,)) as tasks,
         show_progress() as progress,
     ):
         run = AnswerRun(opened, problems, chosen, Store(out.absolute()), tasks, progress)

@@ -36,7 +36,6 @@ def make(
     from scenarios.benchmark import make as making
     from scenarios.benchmark.problems import SPLITS
     from scenarios.cli.run import show_progress
-    from scenarios.execution.executor import default_workers
 
     numbers = objects * len(SPLITS) if len(objects) == 1 else objects
     if len(numbers) != len(SPLITS) or min(numbers) < 0 or not sum(numbers):
@@ -45,11 +44,10 @@ def make(
         if secret is not None:
             raise InvalidValueError("--secret", "a text beside --seed-file", "one of the two")
         secret = seed_file.read_text(encoding="utf-8").strip()
-    count = default_workers() if workers is None else workers
     with show_progress() as progress:
-        made = making.make(out, dict(zip(SPLITS, numbers, strict=True)), secret, count, progress)
+        made = making.make(out, dict(zip(SPLITS, numbers, strict=True)), secret, workers, progress)
     for line in made.left_out:
         print(f"left out: {line}")
-    size = sum(path.stat().st_size for path in made.folder.rglob("*") if path.is_file()) / 1e6
-    print(f"{len(made.problems)} problems, {size:.1f} MB: {made.folder}/ can be published")
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6
+    print(f"{len(made.problems)} problems, {size:.1f} MB: {out}/ can be published")
     print(f"truth of test: {made.truth}; do not publish its folder")

@@ -50,7 +50,7 @@ def learn(
     from estimators.learned.examples import Examples
     from scenarios.cli.run import show_progress
     from scenarios.cli.terminal import orderly_end
-    from scenarios.execution.executor import Limits, default_workers
+    from scenarios.execution.executor import Limits
     from scenarios.execution.select import open_executor
     from testbed.validation import check_integer
 
@@ -63,9 +63,8 @@ def learn(
     folder = path.with_name(f"{path.name}.parts")
     files = [folder / f"{seed}-{index:05d}.pt" for index in range(-(-objects // PART))]
     torch.set_num_threads(1)
-    limits, count = Limits(memory_gib=2.0), default_workers() if workers is None else workers
     with orderly_end(), show_progress() as progress:
-        with open_executor("local", count, limits) as executor:
+        with open_executor("local", workers, Limits(memory_gib=2.0)) as executor:
             made = _made(executor, files, seed, progress)
         held_out = -(-len(made) // HELD_OUT)
         parts, seconds = [examples for examples, _ in made], sum(spent for _, spent in made)

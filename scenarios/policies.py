@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -26,7 +26,7 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectModel, ObjectShape
 from testbed.plugins import check_name, configured, find_class, placed_errors, source_hash
 from testbed.sensing.noise import check_reading, read_scale
-from testbed.sensing.presets import Sensing, preset
+from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
 from testbed.worlds.seeds import seed_of
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -182,8 +182,8 @@ class Policy(BaseModel):
             raise InvalidValueError("settings", self.settings, allowed)
         if self.pushes and self.kind in ("push", "drag", "stop_and_go"):
             raise InvalidValueError("pushes", self.pushes, f"none with {self.kind}: after turns by rank, or in a plan")
-        support = self.assumed_support or ("either" if self.kind == "online" else "own_weight")
-        if self.lifts and self.lifts_last is None and (self.kind not in POLICIES or support == "own_weight"):
+        alone = self.kind not in POLICIES or self.support_in_plan == "own_weight"
+        if self.lifts and self.lifts_last is None and alone:
             allowed = f'with {self.kind}: none, but assumed_support = "rigid" or "either" in a plan of heft\'s own'
             raise InvalidValueError("lifts", self.lifts, allowed)
         return self
@@ -212,6 +212,11 @@ class Policy(BaseModel):
         ranked = self.rank_driven
         planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
         return 1 + planned + (self.lifts_last or 0) + (self.held_out if self.grips else 0)
+
+    @property
+    def support_in_plan(self) -> str:
+        """Support that a plan assumes, by name."""
+        return self.assumed_support or ("either" if self.kind == "online" else "own_weight")
 
     @property
     def grips(self) -> bool:
@@ -288,32 +293,22 @@ class Policy(BaseModel):
                 return RandomPushes(pushed, seed, refused, before) if pushed else before
             return StopAndGo(self.lifts_last, grasps, before, refused)
         sensor = preset(sensing if self.kind == "online" else self.plan_for).stated
-        return AfterWeighing(partial(self._of_weight, grasps, shape, settings, sensor, setup, refused, seed), weighed)
 
-    def _of_weight(
-        self,
-        grasps: tuple[int, ...],
-        shape: ObjectShape,
-        settings: RunnerSettings,
-        sensor: Sensing,
-        setup: SetupErrors,
-        refused: Mapping[Action, str],
-        seed: int,
-        weight: float,
-    ) -> ActionPolicy:
-        """The policy for a weight as read."""
-        guess = Guess(weight, sensor, setup=setup)
-        check = FeasibilityCheck(shape, guess, settings, refused)
-        if self.kind not in POLICIES:
-            return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
-        goal = Goal(self.until, self.budget_s, self.touches)
-        family = ActionFamily(lifts=bool(self.lifts), pushes=self.pushes is not None)
-        searched = {"family": family, "candidates": self.candidates, "grasps": grasps, "seed": seed, "feasible": check}
-        if self.kind == "online":
-            guess = replace(guess, supports=ASSUMED_SUPPORTS[self.assumed_support or "either"])
-            return OnlinePolicy(guess, goal, self.criterion, **searched)
-        guess = replace(guess, supports=ASSUMED_SUPPORTS[self.assumed_support or "own_weight"])
-        return PlannedPolicy(guess, self.kind, self.criterion, goal, **searched)  # pyright: ignore[reportArgumentType]
+        def of_weight(weight: float) -> ActionPolicy:
+            """The policy for a weight as read."""
+            guess = Guess(weight, sensor, setup=setup)
+            check = FeasibilityCheck(shape, guess, settings, refused)
+            if self.kind not in POLICIES:
+                return build_policy(self.kind, self.settings, self.touches, PolicyContext(grasps, weight, check))
+            goal = Goal(self.until, self.budget_s, self.touches)
+            family = ActionFamily(lifts=bool(self.lifts), pushes=self.pushes is not None)
+            searched = (family, self.candidates, grasps, seed)
+            guess = replace(guess, supports=ASSUMED_SUPPORTS[self.support_in_plan])
+            if self.kind == "online":
+                return OnlinePolicy(guess, goal, self.criterion, *searched, feasible=check)
+            return PlannedPolicy(guess, self.kind, self.criterion, goal, *searched, feasible=check)  # pyright: ignore[reportArgumentType]
+
+        return AfterWeighing(of_weight, weighed)
 
     def request(self) -> dict[str, Any]:
         """All that decides its choices, as plain data."""

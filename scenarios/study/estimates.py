@@ -141,38 +141,19 @@ class EstimateRun:
 
 NO_ANSWER = {
     "assumes": "",
-    "nad": math.nan,
-    "mpd_m": math.nan,
-    "mpd_open_loop_m": math.nan,
-    "mpd_turn_m": math.nan,
-    "mpd_of_truth_m": math.nan,
-    "mpd_open_loop_of_truth_m": math.nan,
-    "mpd_turn_of_truth_m": math.nan,
-    "friction": None,
-    "mass_kg": None,
-    "mass_error_kg": None,
-    "misfit": math.nan,
-    "com_error_m": math.nan,
-    "inertia_error": math.nan,
+    **dict.fromkeys(("nad", "mpd_m", "mpd_open_loop_m", "mpd_turn_m"), math.nan),
+    **dict.fromkeys(("mpd_of_truth_m", "mpd_open_loop_of_truth_m", "mpd_turn_of_truth_m"), math.nan),
+    **dict.fromkeys(("friction", "mass_kg", "mass_error_kg")),
+    **dict.fromkeys(("misfit", "com_error_m", "inertia_error"), math.nan),
     **hinge_columns((), {}),
     "unobserved": "",
     "optimizer": "",
     "loss": math.nan,
 }
 """Columns of an answer, in a row without one."""
-NOT_RUN = {
-    "rollouts": math.nan,
-    "seconds": math.nan,
-    "trials": math.nan,
-    "robot_s": math.nan,
-    "weight_kg": math.nan,
-    "group_names": None,
-    "true_mass_kg": None,
-    "true_hinge_Nm": None,
-    "key": None,
-    "trial_keys": None,
-    "held_out_keys": None,
-}
+NOT_RUN = dict.fromkeys(("rollouts", "seconds", "trials", "robot_s", "weight_kg"), math.nan) | dict.fromkeys(
+    ("group_names", "true_mass_kg", "true_hinge_Nm", "key", "trial_keys", "held_out_keys")
+)
 """Further columns, in a row of an estimate that did not come to an end."""
 
 

@@ -172,17 +172,15 @@ def _shows_nothing(trajectory: Trajectory) -> str:
 
 def _trials_named(folder: Path, row: Row, message: str) -> list[str]:
     """Trials that a message names by their numbers, in words."""
-    from scenarios.results.store import Store
     from scenarios.results.table import has_files
-    from scenarios.results.trials import sensed_trials, trials_in_words
+    from scenarios.results.trials import trials_behind, trials_in_words
     from scenarios.views.values import estimate_view
 
     numbers = sorted({int(number) for number in re.findall(r"trial (\d+)", message)})
     if not (numbers and has_files(row)):
         return []
     shape, keys = estimate_view(folder, row).shape, tuple(row["trial_keys"])
-    trials = sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"]))
-    words = trials_in_words(folder, shape, keys[1:], trials[1:])
+    words = trials_in_words(folder, shape, keys[1:], trials_behind(folder, row)[1:])
     return [words[number - 1] for number in numbers if number <= len(words)]
 
 

@@ -71,7 +71,9 @@ def doctor(
         if not isinstance(found, str):
             if found.named or not found.misfit.by_chance:
                 console.print(_table(found))
-            console.print(f"trials that fit least: {_worst(found, trials)}")
+            worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
+            least = "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
+            console.print(f"trials that fit least: {least}")
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
@@ -86,24 +88,18 @@ def doctor(
 def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[str], Diagnosis | str]:
     """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
     from estimators.posterior.diagnosis import diagnose
-    from scenarios.results.store import Store
-    from scenarios.results.trials import sensed_trials, trials_in_words
+    from scenarios.results.trials import trials_behind, trials_in_words
     from scenarios.views.values import estimate_view
     from testbed.robot.calibration.motion import wrong_motion
     from testbed.sensing.windows import weight_of
 
     shape, keys = estimate_view(folder, row).shape, tuple(row["trial_keys"])
-    weighing, *moved = sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"]))
+    weighing, *moved = trials_behind(folder, row)
     title = f"{row['object']}, {row['support'].replace('_', ' ')}, {row['sensing']}"
     words = trials_in_words(folder, shape, keys[1:], moved)
     if wrong := wrong_motion(shape, moved):
         return title, words, "; ".join(["the trials are not what their actions say", *wrong])
     return title, words, diagnose(shape, weight_of(weighing), moved, partial(progress, "fits")) or NOTHING
-
-
-def _worst(found: Diagnosis, trials: list[str]) -> str:
-    worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
-    return "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
 
 
 def _table(found: Diagnosis):

@@ -239,8 +239,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     from estimators.registry import METHODS, build_method
     from scenarios.results.estimates import load_estimate
     from scenarios.results.files import read_manifest
-    from scenarios.results.store import Store
-    from scenarios.results.trials import sensed_trials
+    from scenarios.results.trials import trials_behind
     from scenarios.views.values import estimate_view
     from testbed.sensing.windows import weight_of
 
@@ -252,7 +251,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
     if not isinstance(method, HiddenStates | Bayes) or answer.distribution is None:
         raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states or bayes that has masses")
-    weighing, *trials = sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
+    weighing, *trials = trials_behind(folder, row)
     method = method if isinstance(method, Bayes) else Bayes()
     posterior = method.posterior(shape, weight_of(weighing), trials)
     assert posterior is not None

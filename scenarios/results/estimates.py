@@ -46,7 +46,16 @@ import pandas as pd
 from estimators.base import Estimate, HiddenStateEstimate, Trace
 from estimators.evaluation.statistics import Row
 from estimators.identifiability.report import Identifiability
-from scenarios.results.files import STAGES, check_unambiguous, inside, read_json, some_keys, stored
+from scenarios.results.files import (
+    STAGES,
+    check_unambiguous,
+    done_keys,
+    errors_left,
+    inside,
+    read_json,
+    some_keys,
+    stored,
+)
 from scenarios.results.store import Store
 from scenarios.results.table import has_files, rows_of
 from testbed.errors import HeftError, InvalidValueError, short
@@ -92,13 +101,11 @@ def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
         InvalidValueError: not a results folder.
         DamagedFileError: a damaged record.
     """
-    folder = Path(path) / "trials"
-    if not folder.is_dir():
+    folder = Path(path)
+    if not (folder / "trials").is_dir():
         raise InvalidValueError("path", str(path), "a results folder, with trials/ in it")
-    store = Store(Path(path))
-    for trial in sorted(folder.iterdir()):
-        if store.has_trial(trial.name):
-            yield trial.name, store.trajectory(trial.name)
+    for key in done_keys(folder, "trials"):
+        yield key, Store(folder).trajectory(key)
 
 
 def load_rows(folder: Path) -> Sequence[Row]:
@@ -241,10 +248,5 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
 
 def load_tracebacks(folder: Path) -> dict[str, str]:
     """Tracebacks of the trials and estimates that failed and are still not done, by path."""
-    found = {}
-    for kind, done in STAGES.items():
-        for path in sorted((folder / kind).glob("*/error.txt")):
-            if not (path.parent / done).is_file():
-                text = path.read_text(encoding="utf-8", errors="replace")
-                found[f"{kind}/{path.parent.name}/error.txt"] = text
-    return found
+    errors = [path for stage in STAGES for path in errors_left(folder, stage)]
+    return {str(path.relative_to(folder)): path.read_text(encoding="utf-8", errors="replace") for path in errors}

@@ -85,6 +85,17 @@ def stored(root: Path, stage: str, then: str = "left out") -> Iterator[tuple[Pat
         yield path.parent, unless_damaged(partial(read_json, path), then)
 
 
+def done_keys(root: Path, stage: str) -> list[str]:
+    """Keys of the "trials" or "estimates" that are done, sorted."""
+    return sorted(path.parent.name for path in root.glob(f"{stage}/*/{STAGES[stage]}"))
+
+
+def errors_left(root: Path, stage: str) -> list[Path]:
+    """Files error.txt of the "trials" or "estimates" that failed and are still not done, sorted."""
+    errors = sorted(root.glob(f"{stage}/*/error.txt"))
+    return [path for path in errors if not (path.parent / STAGES[stage]).is_file()]
+
+
 def check_results(folder: Path) -> None:
     """Raise InvalidValueError where there is no such results folder."""
     if not folder.is_dir():

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.results.files import check_unambiguous, inside, read_json, some_keys
+from estimators.evaluation.statistics import Row
+from scenarios.results.files import check_unambiguous, done_keys, inside, read_json, some_keys
 from scenarios.results.store import Store, object_request
 from testbed.actions.base import Action
 from testbed.actions.rotate import Rotate
@@ -124,7 +125,7 @@ def keys_of(root: Path) -> list[str]:
     """
     if not (root / "trials").is_dir():
         raise InvalidValueError("DIR", str(root), "a results folder, with trials in it")
-    return sorted(path.parent.name for path in (root / "trials").glob("*/trial.json"))
+    return done_keys(root, "trials")
 
 
 def _folder_of(root: Path, beginning: str) -> Path:
@@ -180,6 +181,11 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
         seed: seed of the draw.
     """
     return list(_draw(store, keys, sensing, seed, store.secret))
+
+
+def trials_behind(folder: Path, row: Row) -> list[Trajectory]:
+    """Trials of an estimate, by its row, as the method was given them: the weighing first."""
+    return sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
 
 
 @lru_cache(maxsize=8)

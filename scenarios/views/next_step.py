@@ -16,9 +16,8 @@ from estimators.evaluation.statistics import Row
 from estimators.identifiability.information import SUPPORTS
 from estimators.particles.misfit import UNEXPLAINED
 from scenarios.results.estimates import load_estimate
-from scenarios.results.store import Store
 from scenarios.results.table import has_files
-from scenarios.results.trials import sensed_trials
+from scenarios.results.trials import trials_behind
 from scenarios.views.weight_check import check_weight
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.motion import wrong_motion
@@ -53,8 +52,7 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
     found = load_estimate(folder, row["key"])
     if not answer.shape.grasps:
         return "next: nothing: the object has no grasp, so no turn can be planned"
-    keys, shape = tuple(row["trial_keys"]), answer.shape
-    weighing, *trials = sensed_trials(Store(folder), keys, str(row["sensing"]), int(row["seed"]))
+    shape, (weighing, *trials) = answer.shape, trials_behind(folder, row)
     if doubt := _doubt(folder, found, shape, weighing, trials):
         return f"next: {doubt}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from estimators.evaluation.statistics import Row, select
 from scenarios.results.estimates import load_rows
-from scenarios.results.files import check_results, check_unambiguous, inside
+from scenarios.results.files import STAGES, check_results, check_unambiguous, done_keys, inside
 from scenarios.results.store import Store
 from scenarios.results.table import has_files
 from scenarios.results.trials import kind_of_trial
@@ -44,9 +44,8 @@ def page_of(folder: Path, what: str | None) -> Page:
     check_results(folder)
     if what is None:
         return folder_page(folder)
-    estimates = {path.parent.name for path in folder.glob("estimates/*/result.json")}
-    trials = {path.parent.name for path in folder.glob("trials/*/trial.json")}
-    found = [key for key in sorted(estimates | trials) if key.startswith(what)]
+    estimates = done_keys(folder, "estimates")
+    found = [key for key in sorted({*estimates, *done_keys(folder, "trials")}) if key.startswith(what)]
     if len(found) == 1:
         return estimate_page(folder, found[0]) if found[0] in estimates else trial_page(folder, found[0])
     objects = list(dict.fromkeys(row["object"] for row in load_rows(folder)))
@@ -149,9 +148,7 @@ def _comparisons(folder: Path, objects: Sequence[str], name: str, identity: str)
 def record_all(folder: Path, progress: Progress) -> None:
     """Record every trial that moved and every estimate that has no recording yet."""
     recorder = Recorder(folder, files=True)
-    trials = [path.parent.name for path in sorted(folder.glob("trials/*/trial.json"))]
-    estimates = [path.parent.name for path in sorted(folder.glob("estimates/*/result.json"))]
-    wanted = [(kind, key) for kind, keys in (("trial", trials), ("estimate", estimates)) for key in keys]
+    wanted = [(stage.removesuffix("s"), key) for stage in STAGES for key in done_keys(folder, stage)]
     wanted = [(kind, key) for kind, key in wanted if not recording_path(folder, key).is_file()]
     for done, (kind, key) in enumerate(wanted):
         progress("recordings", done, len(wanted))

@@ -17,7 +17,7 @@ from scenarios.results.estimates import load_arrays, load_estimate, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
 from scenarios.results.table import has_files
-from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials
+from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials, trials_behind
 from testbed.errors import InvalidValueError
 from testbed.foot_forces import FootForces, load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
@@ -221,8 +221,7 @@ def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_
 
 def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Trajectory, WrenchFit]]:
     """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
-    keys = tuple(row["trial_keys"])
-    drawn = zip(keys, sensed_trials(Store(folder), keys, row["sensing"], int(row["seed"])), strict=True)
+    drawn = zip(row["trial_keys"], trials_behind(folder, row), strict=True)
     moved = [(key, trajectory) for key, trajectory in drawn if trajectory.action.moves]
     predicted: Sequence[np.ndarray | None] = [None] * len(moved)
     if shown.answer is not None:

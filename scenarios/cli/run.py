@@ -95,7 +95,7 @@ def run(
     from scenarios.results.files import read_manifest, tally, write_json
     from scenarios.results.table import rows_of
     from scenarios.study.dry_run import show_dry_run
-    from scenarios.study.run import carry_out, check_nothing_lost
+    from scenarios.study.run import carry_out, check_nothing_lost, command_words
     from scenarios.views.finished import write_views
     from scenarios.views.pages import Recorder, record_all
     from testbed.plugins import find_code_here
@@ -124,9 +124,11 @@ def run(
                 carry_out(study, folder, workers, progress, executor, recorder, views, secret)
             )
         results = rows_of(table)
+        given = {"seeds": seeds, "objects": objects or None, "methods": methods or None, "world": world, "data": data}
+        given |= {"secret": secret, "allow_code": allow_code}
         facts = {
             "name": name,
-            "command": _command(scenario, seeds, objects, methods, world, data, secret) + " --allow-code" * allow_code,
+            "command": " ".join(command_words("heft run", scenario, **given)),
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
@@ -243,24 +245,6 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
         console.print(rich_table(hidden))
 
 
-def _command(
-    scenario: str,
-    seeds: int | None,
-    objects: Sequence[str] | None,
-    methods: Sequence[str] | None,
-    world: str | None,
-    data: Path | None,
-    secret: str | None,
-) -> str:
-    """Command line that runs this again."""
-    parts = ["heft run", scenario]
-    given = {"seeds": seeds, "objects": objects, "methods": methods, "world": world, "data": data, "secret": secret}
-    for flag, value in given.items():
-        if value:
-            parts += [f"--{flag}", *([str(value)] if isinstance(value, int | str | Path) else value)]
-    return " ".join(parts)
-
-
 def _many(results: Sequence[Row]) -> bool:
     """True if there are too many for a column each: quantiles are printed then."""
     from estimators.evaluation.statistics import axes_of
@@ -275,7 +259,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: results folder of a finished, running or stopped run.
     """
-    from scenarios.results.files import STAGES, is_held, read_manifest, stored, tally
+    from scenarios.results.files import STAGES, errors_left, is_held, read_manifest, stored, tally
     from testbed.files import unless_damaged
 
     if not (folder / "manifest.json").is_file():
@@ -283,9 +267,9 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         raise InvalidValueError("DIR", folder, allowed)
     manifest = unless_damaged(lambda: read_manifest(folder), "rewritten by the same command") or {}
     expected, failed, counts = manifest.get("expected") or {}, [], []
-    for stage, file in STAGES.items():
+    for stage in STAGES:
         found = [content or {} for _, content in stored(folder, stage, "of unknown status")]
-        errors = [e for e in sorted(folder.glob(f"{stage}/*/error.txt")) if not (e.parent / file).is_file()]
+        errors = errors_left(folder, stage)
         amiss = tally(str(each.get("status", "ok")) for each in found)
         listed = f" ({amiss})" if amiss else ""
         counts.append(f"{stage}: {_of(len(found), expected.get(stage))}{listed}, {len(errors)} failed")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -123,14 +122,10 @@ def touch(
 
 def _command(object_: str, search: Search, support: str | None, out: Path | None) -> str:
     """Command line that runs this again: the object, and the options that are not left at their default."""
-    given = {each.name: getattr(search, each.name) for each in fields(search)}
-    given = {name: value for name, value in given.items() if value != getattr(TOUCHED, name)}
-    parts = ["heft", "touch", object_]
-    for name, value in (given | {"support": support, "out": out}).items():
-        if value is not None:
-            words = [] if value is True else value if isinstance(value, tuple) else [str(value)]
-            parts += [f"--{name.replace('_', '-')}", *words]
-    return shlex.join(parts)
+    from scenarios.study.run import command_words
+
+    given = {name: value for name, value in vars(search).items() if value != getattr(TOUCHED, name)}
+    return shlex.join(command_words("heft", "touch", object_, **given, support=support, out=out))
 
 
 def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterator[str]:

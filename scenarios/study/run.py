@@ -175,6 +175,16 @@ def manifest(scenario: Scenario, secret: str = "", expected: DryRun | None = Non
     return facts | {"finished": False, "expected": {"trials": expected.trials, "estimates": expected.estimates}}
 
 
+def command_words(*words: str, **options: Any) -> list[str]:
+    """Words of a command line: its first ones, then each option by its name, but for those of None and False."""
+    found = list(words)
+    for name, value in options.items():
+        if value is not None and value is not False:
+            values = [] if value is True else value if isinstance(value, tuple) else [str(value)]
+            found += [f"--{name.replace('_', '-')}", *values]
+    return found
+
+
 @dataclass(frozen=True)
 class EstimateRequest:
     """Objects and methods of `heft estimate`."""
@@ -201,12 +211,14 @@ class EstimateRequest:
 
     def command(self, folder: Path) -> str:
         """Command line that runs this again."""
-        parts = ["heft", "estimate", str(folder)]
-        for flag, values in (("objects", self.objects), ("methods", self.methods)):
-            parts += [f"--{flag}", *values] if values else []
-        parts += ["--scenario", self.scenario] if self.scenario != DEFAULT_SCENARIO else []
-        parts += ["--held-out", str(self.held_out)] if self.held_out else []
-        return shlex.join(parts + ["--allow-code"] * self.allow_code)
+        options = {
+            "objects": self.objects or None,
+            "methods": self.methods or None,
+            "scenario": None if self.scenario == DEFAULT_SCENARIO else self.scenario,
+            "held_out": self.held_out or None,
+            "allow_code": self.allow_code,
+        }
+        return shlex.join(command_words("heft", "estimate", str(folder), **options))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
+from jaxtyping import Float, Int
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
@@ -69,7 +70,7 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     values = axis_values(rows, axis_column)
     numeric = all(isinstance(value, int | float) for value in values)
     if not numeric and len(values) > FEW:
-        return _by_word(rows, axis_column, [str(value) for value in values])
+        return _by_word(rows, axis_column, values)
     places = np.array(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
     figure = Figure(figsize=(5.4, 4.2), layout="constrained")
     axis = figure.subplots()
@@ -81,9 +82,7 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
         if not of:
             continue
         kind = of[0]["kind"]
-        found = [100 * np.array([row["nad"] for row in of if row.get(axis_column) == value]) for value in values]
-        has = np.array([len(each) > 0 for each in found])
-        low, middle, high = np.array([np.quantile(each, (0.25, 0.5, 0.75)) for each in found if len(each)]).T
+        has, (low, middle, high) = _quartiles(of, axis_column, values)
         which = kinds.index(kind) % len(PALETTE)
         axis.fill_between(places[has], low, high, color=PALETTE[which], alpha=0.12, linewidth=0)
         axis.plot(
@@ -105,18 +104,25 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     return figure
 
 
-def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[str]) -> Figure:
+def _quartiles(
+    rows: Sequence[Row], axis_column: str, values: Sequence[object]
+) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "3 K"]]:
+    """Indices of the values of a setting that some of these rows have, and the quartiles of their NAD there, %."""
+    found = [100 * np.array([row["nad"] for row in rows if row.get(axis_column) == value]) for value in values]
+    has = np.flatnonzero([len(each) > 0 for each in found])
+    return has, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has], (-1, 3)).T
+
+
+def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[object]) -> Figure:
     """Medians and quartiles of every method at each word of a setting, a line each."""
     methods = methods_of(rows)
     figure = Figure(figsize=(6.4, 0.34 * len(values) + 1.2), layout="constrained")
     axis, every = figure.subplots(), []
     for which, method in enumerate(methods):
         of = [row for row in rows if row["method"] == method and row["nad"] is not None]
-        found = [100 * np.array([row["nad"] for row in of if str(row.get(axis_column)) == value]) for value in values]
-        has = np.flatnonzero([len(each) > 0 for each in found])
+        has, (low, middle, high) = _quartiles(of, axis_column, values)
         if len(has) == 0:
             continue
-        low, middle, high = np.array([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has]).T
         color, marker = PALETTE[which % len(PALETTE)], MARKERS[which % len(MARKERS)]
         at = has + 0.6 * ((which + 0.5) / len(methods) - 0.5)
         if which == 0:
@@ -124,7 +130,7 @@ def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[str]) -> Fi
         axis.hlines(at, low, high, color=color, linewidth=1.0, alpha=0.6)
         axis.plot(middle, at, color=color, marker=marker, markersize=4, linestyle="none", label=method)
         every += [low, middle, high]
-    axis.set_yticks(range(len(values)), values)
+    axis.set_yticks(range(len(values)), [str(value) for value in values])
     axis.set_ylim(len(values) - 0.5, -0.5)
     _scale(axis.xaxis, np.concatenate(every) if every else np.array([]))
     axis.set_xlabel("NAD, %")

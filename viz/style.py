@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from testbed.objects.model import ObjectShape
@@ -140,11 +139,6 @@ class Scale:
         """Digits after the point: two that count."""
         return int(np.clip(1 - np.floor(np.log10(self.top)), 2, 4))
 
-    @property
-    def mappable(self) -> ScalarMappable:
-        """The scale for matplotlib."""
-        return ScalarMappable(Normalize(0.0, self.top), self.colors)
-
     def color(self, values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "... 3"]:
         """Colors of values, 0 to 255."""
         return mapped(values, self.top, self.colors)
@@ -173,6 +167,11 @@ def _scale(
     largest = max((float(values.max()) for values in ends), default=1.0)
     end = max(largest if top is None else top, least, 1e-6)
     return Scale(end, colors, title, open=any(float(values.max()) > end * (1 + 1e-9) for values in (*ends, *ways)))
+
+
+def top_of(values: Sequence[np.ndarray]) -> float:
+    """End of a scale of many answers: a high percentile of their values; 0 without any."""
+    return float(np.percentile(np.concatenate(values), TOP)) if values else 0.0
 
 
 def group_middles(shape: ObjectShape) -> Float[np.ndarray, "n_m 2"]:

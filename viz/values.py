@@ -233,11 +233,6 @@ class ActionArrow:
         parts = [np.linspace(a, b, FINE) for a, b in zip(self.way[:-1], self.way[1:], strict=True)]
         return np.vstack([*parts, *arms])
 
-    @property
-    def points(self) -> Float[np.ndarray, "N 2"]:
-        """All points of the drawing [m]."""
-        return np.vstack([self.way, self.grasp, self.label])
-
 
 @dataclass(frozen=True, eq=False)
 class ActionsView:
@@ -284,7 +279,7 @@ class ActionsView:
     @property
     def bounds(self) -> Float[np.ndarray, "2 2"]:
         """Lower left and upper right corner around the object and all arrows [m]."""
-        points = np.concatenate([self.shape.particles, *(arrow.points for arrow in self.arrows.values())])
+        points = np.concatenate([self.shape.particles, *(arrow.strokes for arrow in self.arrows.values())])
         return np.stack([points.min(axis=0) - self.shape.cell, points.max(axis=0) + self.shape.cell])
 
 

@@ -16,6 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -32,13 +33,13 @@ from viz.style import (
     MOST_NAMED,
     NO_ANSWER,
     STYLE,
-    TOP,
     Scale,
     aspect,
     difference_scale,
     group_middles,
     mass_scale,
     narrowest_group,
+    top_of,
 )
 from viz.values import EstimateView
 
@@ -130,7 +131,8 @@ def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
     """Draw the color bar of a scale, below some axes unless `look` says otherwise."""
     usual = {"orientation": "horizontal", "shrink": 0.85, "pad": 0.04}
     size = {"fontsize": look.pop("fontsize")} if "fontsize" in look else {}
-    figure.colorbar(scale.mappable, ax=axes, **usual | look).set_label(scale.title, wrap=True, **size)
+    colors = ScalarMappable(Normalize(0.0, scale.top), scale.colors)
+    figure.colorbar(colors, ax=axes, **usual | look).set_label(scale.title, wrap=True, **size)
 
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:
@@ -201,7 +203,7 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
     }
     known = [answer.difference for answer in answers.values() if answer]
     scale = Scale(
-        max(_top(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg per group"
+        max(top_of(known), 1e-3) if known else 1.0, DIFFERENCE_COLORS, "absolute difference of mass, kg per group"
     )
     with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [aspect(shape, 0.3, 1.0) for shape in shapes.values()]
@@ -248,7 +250,7 @@ def map_scales(truths: Sequence[np.ndarray], answers: Sequence[MeanAnswer]) -> t
         truths: true masses of each object, kg per group, (n_m,).
         answers: all answers that are drawn.
     """
-    top, off = _top([*truths, *(a.mass for a in answers)]), _top([a.difference for a in answers])
+    top, off = top_of([*truths, *(a.mass for a in answers)]), top_of([a.difference for a in answers])
     return (
         Scale(max(top, 1e-3), MASS_COLORS, "mass, true and estimated, kg per group"),
         Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg per group"),
@@ -342,8 +344,3 @@ def estimate_maps(view: EstimateView) -> Figure:
 def decimals(largest: float) -> int:
     """Digits after the point for three that count."""
     return int(np.clip(2 - np.floor(np.log10(max(largest, 1e-9))), 0, 3))
-
-
-def _top(values: Sequence[np.ndarray]) -> float:
-    """End of a scale: a high percentile of the values."""
-    return float(np.percentile(np.concatenate(values), TOP)) if values else 0.0

@@ -16,7 +16,7 @@ from viz.recordings.estimate import frames_of
 from viz.recordings.mass_map import BELOW, MassMap, Raster, log_bar
 from viz.recordings.page import Frames, Node
 from viz.recordings.planar import TITLE, Canvas, log_upright, planar_view
-from viz.style import TOP, Scale, difference_scale, mass_scale, series_color
+from viz.style import Scale, difference_scale, mass_scale, series_color, top_of
 from viz.values import LEVEL, EstimateView
 
 WINDOW = Canvas(1590, 910)
@@ -115,12 +115,9 @@ class _Layout:
 def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
     """Scales of mass and difference: up to most of the values, and to the truth in any case."""
     truths = [float(view.true_mass.max()) for view in views if view.true_mass is not None]
-    tops = []
-    for values in ([view.mass for view in views], [view.difference for view in views]):
-        known = [value for value in values if value is not None]
-        tops.append(float(np.percentile(np.concatenate(known), TOP)) if known else 0.0)
-    mass = mass_scale(views, max([tops[0], *truths]))
-    return mass, difference_scale(views, tops[1]) if truths else None
+    mass = mass_scale(views, max([top_of([view.mass for view in views if view.mass is not None]), *truths]))
+    off = top_of([view.difference for view in views if view.difference is not None])
+    return mass, difference_scale(views, off) if truths else None
 
 
 def _bar_boxes(cell: Canvas) -> list[Bbox]:

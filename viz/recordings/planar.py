@@ -43,12 +43,8 @@ class Canvas:
     def framed(self, box: Bbox, sides: float, above: float, below: float) -> Bbox:
         """The box with room for so many pixels around it."""
         pixel = max(box.width / (self.width - 2 * sides), box.height / (self.height - above - below))
-        return grown(box, sides * pixel, below * pixel, above * pixel)
-
-
-def grown(box: Bbox, sides: float, below: float, above: float) -> Bbox:
-    """The box with room around it."""
-    return Bbox.from_extents(box.x0 - sides, box.y0 - below, box.x1 + sides, box.y1 + above)
+        left, right = box.x0 - sides * pixel, box.x1 + sides * pixel
+        return Bbox.from_extents(left, box.y0 - below * pixel, right, box.y1 + above * pixel)
 
 
 def planar_view(origin: str, box: Bbox, name: str) -> rrb.Spatial2DView:

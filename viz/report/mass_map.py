@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from matplotlib.colors import to_hex
 from rich.text import Text
 
 from viz.report.answers import Answer
@@ -44,8 +45,8 @@ def mass_map(answer: Answer) -> Text:
             if group < 0:
                 text.append(letter)
                 continue
-            ground = _color(grounds[group])
-            front = _color(text_color(grounds[group])) if written[row, column] else ground
+            ground = to_hex(grounds[group] / 255)
+            front = to_hex(text_color(grounds[group]) / 255) if written[row, column] else ground
             text.append(letter, f"{front} on {ground}")
         text.append("\n")
     return text
@@ -77,7 +78,3 @@ def _places(inside: np.ndarray, labels: list[str]) -> list[tuple[str, int, slice
             begin = int(widest[0]) + (len(widest) - len(label)) // 2
             found.append((label, row, slice(begin, begin + len(label))))
     return found
-
-
-def _color(rgb: np.ndarray) -> str:
-    return "#" + "".join(f"{int(part):02x}" for part in rgb)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.results.files import exclusive, stored
-from scenarios.results.store import Store, key_of, object_request
+from scenarios.results.store import Store, key_of, record_request
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.clocks import Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory, object_of
@@ -20,8 +20,8 @@ from testbed.importers.mapping import LogMap, Mapping
 from testbed.objects.model import ObjectModel
 from testbed.robot.runner import read_off
 from testbed.toml import load_toml
-from testbed.trajectory import SCHEMA_VERSION, Trajectory
-from testbed.trial import Support, Trial, parse_support, support_of
+from testbed.trajectory import Trajectory
+from testbed.trial import Trial, parse_support, support_of
 from testbed.validation import check_kilograms
 
 LONGEST_NAME = 200
@@ -99,7 +99,9 @@ def import_logs(
             imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key))
         _remove_earlier(store, contents)
         if weight is not None:
-            _put_weight(store, model, support, weight)
+            read = read_off(weight)
+            read = replace(read, provenance=read.provenance | {"runner": "import"})
+            _put(store, Trial(model, read.action, support), read, {"weight_kg": weight})
     return imported
 
 
@@ -142,7 +144,7 @@ def placed_in(place: str, error: HeftError) -> LogError:
 
 def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any]) -> str:
     """Put a trial where simulated ones are kept; its key."""
-    request = _request(trial.object, trial.support, trajectory) | said
+    request = record_request(trial) | said
     key = key_of(request)
     store.put_trial(key, trial, request, trajectory)
     return key
@@ -163,19 +165,3 @@ def _checksum(logs: Sequence[Path]) -> str:
         for file in sorted(f for f in log.iterdir() if f.is_file()) if log.is_dir() else [log]:
             total.update(file.read_bytes())
     return total.hexdigest()
-
-
-def _put_weight(store: Store, model: ObjectModel, support: Support, weight: float) -> None:
-    """Keep a scale's reading (kg) as a weighing."""
-    read = read_off(weight)
-    read = replace(read, provenance=read.provenance | {"runner": "import"})
-    _put(store, Trial(model, read.action, support), read, {"weight_kg": weight})
-
-
-def _request(model: ObjectModel, support: Support, trajectory: Trajectory) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA_VERSION,
-        "object": object_request(model),
-        "action": trajectory.action.to_dict(),
-        "support": support.name,
-    }

@@ -77,6 +77,16 @@ def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
     }
 
 
+def record_request(trial: Trial) -> dict[str, Any]:
+    """What was asked of a trial that the simulator did not make, as plain data, but for where it comes from."""
+    return {
+        "schema": SCHEMA_VERSION,
+        "object": object_request(trial.object),
+        "action": trial.action.to_dict(),
+        "support": trial.support.name,
+    }
+
+
 def object_request(model: ObjectModel) -> dict[str, Any]:
     """All that decides how an object behaves, as plain data."""
     shape, truth = model.shape, model.truth

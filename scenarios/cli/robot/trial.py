@@ -260,18 +260,10 @@ def _confirmed(motion: str) -> bool:
 
 def _store(trajectory: Trajectory, planned: Trial, file: RobotFile, out: Path) -> None:
     """Store the record like a simulated one, and print its status; exit code 1 if it is no data."""
-    from scenarios.results.store import Store, key_of, object_request
+    from scenarios.results.store import Store, key_of, record_request
     from testbed.robot.interfaces import RobotError
-    from testbed.trajectory import SCHEMA_VERSION
 
-    request = {
-        "schema": SCHEMA_VERSION,
-        "object": object_request(planned.object),
-        "action": planned.action.to_dict(),
-        "support": planned.support.name,
-        "robot": file.to_dict(),
-        "recorded": trajectory.provenance["recorded"],
-    }
+    request = record_request(planned) | {"robot": file.to_dict(), "recorded": trajectory.provenance["recorded"]}
     key = key_of(request)
     print(f"{trajectory.status}{': ' if trajectory.reason else ''}{trajectory.reason}")
     try:

@@ -192,16 +192,14 @@ def watch_live(name: str, action: str, grasp: str | None, support: str | None) -
         InvalidValueError: no such object, grasp or support.
         InfeasibleTrialError: the arm, the gripper or the table cannot do it.
     """
-    from testbed.actions.accelerate import Accelerate
-    from testbed.actions.rotate import Rotate
-    from testbed.actions.slide import Slide
+    from testbed.actions.base import action_from_dict
     from testbed.objects.files import load_object
     from testbed.simulation.graphics import choose_window
     from testbed.trial import Trial, support_of
 
-    kinds = {"rotate": Rotate, "slide": Slide, "accelerate": Accelerate}
     obj = load_object(name)
-    trial = Trial(obj, kinds[action](grasp_index(obj.shape, grasp)), support_of(obj.shape, support))
+    asked = action_from_dict({"kind": action, "grasp": grasp_index(obj.shape, grasp)})
+    trial = Trial(obj, asked, support_of(obj.shape, support))
     choose_window()
     from testbed.simulation.watch import KEYS, LiveTrial, watch  # now that MuJoCo knows how to draw
 

@@ -95,6 +95,7 @@ def run(
     from scenarios.results.files import read_manifest, tally, write_json
     from scenarios.results.table import rows_of
     from scenarios.study.dry_run import show_dry_run
+    from scenarios.study.meshes import with_meshes
     from scenarios.study.run import carry_out, check_nothing_lost, command_words
     from scenarios.views.finished import write_views
     from scenarios.views.pages import Recorder, record_all
@@ -105,7 +106,10 @@ def run(
         find_code_here()
     name, study = load_scenario(scenario)
     folder = out or Path("results") / name
-    study = _made_objects(study.changed(seeds, objects, methods, world), data, folder)
+    with show_progress() as progress:
+        study, lines = with_meshes(study.changed(seeds, objects, methods, world), data, folder, progress)
+    for line in lines:
+        print(line)
     workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
@@ -125,10 +129,9 @@ def run(
             )
         results = rows_of(table)
         given = {"seeds": seeds, "objects": objects or None, "methods": methods or None, "world": world, "data": data}
-        given |= {"secret": secret, "allow_code": allow_code}
         facts = {
             "name": name,
-            "command": " ".join(command_words("heft run", scenario, **given)),
+            "command": " ".join(command_words("heft run", scenario, **given, secret=secret, allow_code=allow_code)),
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)
@@ -164,17 +167,6 @@ def say_failures(folder: Path, results: Sequence[Row]) -> bool:
             print(f"  traceback: {folder / failure.path}")
     answering = {row["method"] for row in results if row.get("mass_kg") is not None}
     return all(row["status"] == "no_data" and row["method"] in answering for row in empty)
-
-
-def _made_objects(study: Scenario, data: Path | None, folder: Path) -> Scenario:
-    """The scenario with the objects of its mesh files, where it has any; what was found in each is printed."""
-    from scenarios.study.meshes import with_meshes
-
-    with show_progress() as progress:
-        made, lines = with_meshes(study, data, folder, progress)
-    for line in lines:
-        print(line)
-    return made
 
 
 def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
@@ -272,7 +264,9 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         errors = errors_left(folder, stage)
         amiss = tally(str(each.get("status", "ok")) for each in found)
         listed = f" ({amiss})" if amiss else ""
-        counts.append(f"{stage}: {_of(len(found), expected.get(stage))}{listed}, {len(errors)} failed")
+        total = expected.get(stage) or 0
+        more = f" of about {total}" if total > len(found) else ""
+        counts.append(f"{stage}: {len(found)} done{more}{listed}, {len(errors)} failed")
         failed = [*errors, *failed]
     print(f"{folder}: {_state(manifest, running=is_held(folder))}")
     print("; ".join(counts))
@@ -288,11 +282,6 @@ def _state(manifest: dict[str, Any], *, running: bool) -> str:
     if "finished" not in manifest:  # of an earlier version
         return "nothing is running here"
     return "finished" if manifest["finished"] else "stopped early; run the same command again to continue"
-
-
-def _of(done: int, expected: int | None) -> str:
-    """Number done, and the total as long as there are more to come."""
-    return f"{done} done of about {expected}" if expected and expected > done else f"{done} done"
 
 
 @contextmanager

@@ -45,8 +45,6 @@ Reward = Literal["nad", "log_nad", "final"]
 """Fall of the expected NAD or of its logarithm per robot second, or minus the true NAD at the end."""
 ATTEMPTS = 100
 """Objects that are drawn for one that the hand can grip."""
-GRID = 3
-"""Particles along a side of a drawn block."""
 
 
 class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
@@ -221,7 +219,7 @@ def _drawn(seed: int, blocks: tuple[int, int], mujoco: bool) -> tuple[ObjectMode
     """Random block object that the hand can grip, and its usable grasps."""
     family = Family(name="drawn", count=1, seed=seed, blocks=list(blocks))
     for attempt in range(ATTEMPTS):
-        model = family.draw(0, attempt).build(GRID, Path())
+        model = family.draw(0, attempt).build(3, Path())
         try:
             return model, _usable(model, mujoco)
         except InfeasibleTrialError:

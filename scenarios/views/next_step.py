@@ -30,7 +30,6 @@ ENOUGH = 0.02
 """Expected NAD below which no further trial is proposed."""
 CANDIDATES = 60
 """Actions among which the next one is chosen."""
-_LEAST_SURE = 2
 
 
 def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
@@ -70,7 +69,7 @@ def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
             )
         return f"next: nothing more is needed: {sure}{noted}" if decision.answered else f"next: {decision.why}"
     error = decision.standard_error
-    worst = [shape.group_names[g] for g in np.argsort(-error)[:_LEAST_SURE]]
+    worst = [shape.group_names[g] for g in np.argsort(-error)[:2]]
     least = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
     return f"{least}, {sure}{noted}" if decision.answered else f"{least}; the trials give no answer yet"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -130,16 +131,13 @@ def _settings(settings: Mapping[str, Any]) -> str:
 
 def _command(name: str, scenario: Mapping[str, Any]) -> str:
     """`heft run`, with what differs from the library's scenario; or with a file to be made of the one shown."""
-    try:
-        if name not in scenario_names():
-            raise ValueError
-        ran, base = Scenario.model_validate(scenario), load_scenario(name)[1]
-        if base.model_copy(update={"seeds": ran.seeds, "objects": ran.objects}) == ran:
-            seeds = "" if ran.seeds == base.seeds else f" --seeds {ran.seeds}"
-            objects = "" if ran.objects == base.objects else f" --objects {' '.join(ran.objects)}"
-            return f"heft run {name}{seeds}{objects}"
-    except ValueError:  # an older scenario, or no library name
-        pass
+    with suppress(ValueError):  # an older scenario
+        if name in scenario_names():
+            ran, base = Scenario.model_validate(scenario), load_scenario(name)[1]
+            if base.model_copy(update={"seeds": ran.seeds, "objects": ran.objects}) == ran:
+                seeds = "" if ran.seeds == base.seeds else f" --seeds {ran.seeds}"
+                objects = "" if ran.objects == base.objects else f" --objects {' '.join(ran.objects)}"
+                return f"heft run {name}{seeds}{objects}"
     return f"heft run {name}.toml   # the scenario below, saved as {name}.toml"
 
 

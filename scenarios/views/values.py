@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -197,18 +198,8 @@ def estimate_view(folder: Path, row: Row) -> EstimateView:
 def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:
     """Shape as the estimator saw it, with the particles of its own grid."""
     arrays = load_arrays(folder, row["key"])
-    return ObjectShape(
-        arrays["particles"],
-        arrays["mass_group"],
-        arrays["friction_group"],
-        float(arrays["cell"]),
-        true.shape.height,
-        true.shape.grasps,
-        tuple(row["group_names"]),
-        arrays["fill"],
-        true.shape.chain,
-        stands_on_feet=true.shape.stands_on_feet,
-    )
+    own = {name: arrays[name] for name in ("particles", "mass_group", "friction_group", "fill")}
+    return replace(true.shape, **own, cell=float(arrays["cell"]), group_names=tuple(row["group_names"]))
 
 
 def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_mu"]:

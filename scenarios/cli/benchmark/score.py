@@ -86,8 +86,13 @@ def score(
             print(f"{name}: {left} of {len(splits)} answers are of another split than {chosen} and not scored")
     rows[EVEN] = scoring.score(opened, {}, known, chosen)
     console = open_console()
-    for table in _by_cell(chosen, rows) if len(given) == 1 else _by_method(chosen, rows):
-        console.print(table)
+    if len(given) == 1:
+        (name, own), (_, even) = rows.items()
+        lines = _cells(own) | {"all": scoring.figures(own), EVEN: scoring.figures(even)}
+        console.print(_of_figures(f"{name}, {chosen}", "world, kind", lines))
+    else:
+        for table in _by_method(chosen, rows):
+            console.print(table)
     console.print(NOTES)
     if json is not None:
         content = {
@@ -138,14 +143,6 @@ def _of_figures(title: str, first: str, lines: Mapping[str, Mapping[str, float]]
 
 def _number(value: float, form: str) -> str:
     return "-" if value != value else format(value, form)  # noqa: PLR0124  NaN
-
-
-def _by_cell(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:
-    """Table of one method, a row per world and kind, and one of the reference."""
-    from scenarios.benchmark.score import figures
-
-    (name, own), (_, even) = rows.items()
-    return [_of_figures(f"{name}, {split}", "world, kind", _cells(own) | {"all": figures(own), EVEN: figures(even)})]
 
 
 def _by_method(split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Table]:

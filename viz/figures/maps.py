@@ -76,28 +76,21 @@ def draw_groups(
     low, high = extent(shape)
     half, group = shape.cell / 2, shape.mass_group[shape.cells]
     cells = shape.particles[shape.cells, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+    def fill(corners: np.ndarray, **look: Any) -> None:
+        axis.add_collection(PolyCollection(list(corners), transform=on, **look))
+
     if values is None:
-        axis.add_collection(
-            PolyCollection(list(cells), facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2, transform=on)
-        )
+        fill(cells, facecolor="white", edgecolor="0.7", hatch="////", linewidth=0.2)
         middle = {"transform": on, "ha": "center", "va": "center"}
         x, y = (low + high) / 2
         axis.text(x, y, "no answer", fontsize=max(letters, 6.0), **middle)
     else:
         known, norm = np.isfinite(values), Normalize(0.0, scale.top)
         values = np.where(known, values, 0.0)
-        patches = PolyCollection(
-            list(cells), cmap=scale.colors, norm=norm, linewidth=0, antialiased=False, transform=on
-        )
-        patches.set_array(values[group])
-        axis.add_collection(patches)
+        fill(cells, cmap=scale.colors, norm=norm, linewidth=0, antialiased=False, array=values[group])
         if not known.all():
-            blind = cells[~known[group]]
-            axis.add_collection(
-                PolyCollection(
-                    list(blind), facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0, transform=on
-                )
-            )
+            fill(cells[~known[group]], facecolor=NO_ANSWER, edgecolor="white", hatch="////", linewidth=0)
         unknown = "not observed" if shape.n_m <= MOST_NAMED // 2 else "-"
         for (x, y), value, finite in zip(group_middles(shape), values, known, strict=True) if letters else ():
             dark = mpl.colormaps[scale.colors](norm(value))[1] < 0.5 and finite

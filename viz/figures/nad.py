@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float, Int
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
@@ -104,10 +103,8 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     return figure
 
 
-def _quartiles(
-    rows: Sequence[Row], axis_column: str, values: Sequence[object]
-) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "3 K"]]:
-    """Indices of the values of a setting that some of these rows have, and the quartiles of their NAD there, %."""
+def _quartiles(rows: Sequence[Row], axis_column: str, values: Sequence[object]) -> tuple[np.ndarray, np.ndarray]:
+    """Indices, (K,), of the values of a setting that some rows have, and quartiles of the NAD there, %, (3, K)."""
     found = [100 * np.array([row["nad"] for row in rows if row.get(axis_column) == value]) for value in values]
     has = np.flatnonzero([len(each) > 0 for each in found])
     return has, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has], (-1, 3)).T

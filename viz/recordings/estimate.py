@@ -128,7 +128,7 @@ class _Parts:
         series = () if way is None else (BarSeries(label, style.ESTIMATE, way, frames, view.half_width),)
         loads = None
         if way is not None and view.answer is not None:
-            loads = _LoadScene(view, way / shape.particles_per_group, view.answer, SIDE)
+            loads = _LoadScene(view, way / shape.particles_per_group, view.answer)
         return _Parts(
             maps,
             BarScene(shape.group_names, truth, series, lower) if bars else None,
@@ -178,18 +178,17 @@ class _LoadScene:
     mass: Float[np.ndarray, "F n_m"]
     """Mass of a particle of each group [kg]."""
     answer: MassDistribution
-    canvas: Canvas
 
     @property
     def box(self) -> Bbox:
         """Bounds around the whole drawing."""
         box = Raster.of(self.view.shape).box
-        return self.canvas.framed(Bbox.union([box, bar_box(box)]), 24, LINE + 3 * MARGIN, BELOW)
+        return SIDE.framed(Bbox.union([box, bar_box(box)]), 24, LINE + 3 * MARGIN, BELOW)
 
     def log(self, node: Node, frames: Frames) -> None:
         """Log it below `node`."""
         shape, truth, answer = self.view.shape, self.view.truth, self.answer
-        raster, pixel, count = Raster.of(shape), self.canvas.pixel(self.box), len(shape.particles)
+        raster, pixel, count = Raster.of(shape), SIDE.pixel(self.box), len(shape.particles)
         log_upright(node)
         log_lines(node / "outlines", raster.outlines())
         load = friction_load(shape, self.mass, answer.friction)

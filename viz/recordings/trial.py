@@ -16,7 +16,6 @@ from testbed.foot_forces import FootForces
 from testbed.frames import rotation_2d
 from testbed.objects.colors import group_color
 from testbed.objects.model import ObjectShape
-from testbed.sensing.camera import PoseStream
 from testbed.sensing.lift_windows import poses_in_space
 from testbed.trajectory import Phase, Trajectory
 from viz import style
@@ -59,7 +58,9 @@ def log_trial(stream: rr.RecordingStream, root: str, view: TrialView) -> None:
             color, label = style.AXIS_COLORS[index % 3], name.replace("/", " ")
             _log_line(node / kind / name, label, color, trajectory.time_s, values[:, index])
     if view.shape.chain is not None and trajectory.camera is not None:
-        _log_joints(node / "joints", trajectory.camera)
+        for hinge, angle in enumerate(np.degrees(trajectory.camera.joint_angles).T):
+            color, line = style.series_color(hinge), node / f"joints/hinge_{hinge}"
+            _log_line(line, f"hinge {hinge}", color, trajectory.camera.time_s, angle)
     _log_states(node / "states", view)
     facts = {"status": trajectory.status, "why": trajectory.reason, **view.facts}
     log_facts(node / "facts", view.title, "trial", facts)
@@ -172,12 +173,6 @@ def _log_object(node: Node, view: TrialView) -> None:
         return
     (node / "cells").log(cells(np.ones(len(centers), dtype=bool)))
     node.send_timed(time, rr.Transform3D.columns(**_object_poses(view.trajectory)))
-
-
-def _log_joints(node: Node, camera: PoseStream) -> None:
-    """Log the joint angle of each hinge [deg], at the camera's frames."""
-    for hinge, angle in enumerate(np.degrees(camera.joint_angles).T):
-        _log_line(node / f"hinge_{hinge}", f"hinge {hinge}", style.series_color(hinge), camera.time_s, angle)
 
 
 def _log_push(node: Node, shape: ObjectShape, trajectory: Trajectory, height: float) -> None:

@@ -256,9 +256,9 @@ def by_setting(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
 def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Rows by support, sensing and point of a sweep, named by what differs among them."""
     axes = axes_of(rows)
-    words = [
-        (support_name(row["support"]), row["sensing"], *(_named(axis, row.get(axis)) for axis in axes)) for row in rows
-    ]
+    fields = {axis: axis.rpartition(".")[2] for axis in axes}
+    swept = [[f"{field} {_setting(row.get(axis))}" for axis, field in fields.items()] for row in rows]
+    words = [(support_name(row["support"]), row["sensing"], *own) for row, own in zip(rows, swept, strict=True)]
     varied = [len(set(each)) > 1 for each in zip(*words, strict=True)]
     groups: dict[str, list[Row]] = {}
     for row, own in zip(rows, words, strict=True):
@@ -372,11 +372,6 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
     of_claims = ("error / claimed", "90 % hold") if metric is NAD else ()
     columns = ("objects", "10 %", "median", "90 %", "mean", *of_claims, "no answer")
     return Table(f"{metric.title}, over objects", columns, tuple(lines), heads)
-
-
-def _named(axis: str, value: object) -> str:
-    """Setting with the last word of its field."""
-    return f"{axis.rpartition('.')[2]} {_setting(value)}"
 
 
 def _setting(value: object) -> str:

@@ -79,8 +79,8 @@ def doctor(
             console.print(f"figure: {files[0]}")
     if not asked:
         draws = sorted({int(row["seed"]) for row in every if row.get("trial_keys") is not None})
-        allowed = f"a draw that the folder has estimates of: {', '.join(map(str, draws))}"
         if draws:
+            allowed = f"a draw that the folder has estimates of: {', '.join(map(str, draws))}"
             raise InvalidValueError("--draw", draw, allowed)
         raise InvalidValueError("DIR", folder, f"a folder with an answer; it has none (heft status {folder})")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 import time
@@ -130,8 +131,6 @@ def _command(object_: str, search: Search, support: str | None, out: Path | None
 
 def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterator[str]:
     """Lines on how the run ends, what the masses are, whether they can be trusted, and what stays unknown."""
-    import math
-
     from estimators.particles.misfit import UNEXPLAINED
 
     last, row, answer = result.last, result.row, result.last.estimate

@@ -155,6 +155,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
         raise HeftError(f"{place}: no result.json")
     arrays = load_arrays(folder, key)
     led = str(row.get("optimizer") or "").replace(" ", "_")
+    traces = [name.removesuffix(".seconds") for name in arrays if name.endswith(".seconds")]
     with this_version(place):
         return Estimate(
             MassDistribution(arrays["mass"], arrays["friction"]) if "mass" in arrays else None,
@@ -163,7 +164,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
             arrays.get("covariance"),
             _value(Identifiability, "identifiability", arrays),
             _value(HiddenStateEstimate, "hidden", arrays),
-            tuple(_trace(name, arrays) for name in sorted(_optimizers(arrays), key=lambda name: name != led)),
+            tuple(_trace(name, arrays) for name in sorted(traces, key=lambda name: name != led)),
             row.get("seconds") or 0.0,
             {key.removeprefix(DIAGNOSTICS): float(v) for key, v in arrays.items() if key.startswith(DIAGNOSTICS)},
             row.get("assumes") or "",
@@ -189,11 +190,6 @@ def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:
         float(arrays[f"{name}.robot_seconds"]),
         arrays[f"{name}.mass"],
     )
-
-
-def _optimizers(arrays: dict[str, np.ndarray]) -> list[str]:
-    """Names of the traces; a diagnostic may be called loss too."""
-    return [name.removesuffix(".seconds") for name in arrays if name.endswith(".seconds")]
 
 
 def _value(kind: type[Any], prefix: str, arrays: dict[str, np.ndarray]) -> Any:

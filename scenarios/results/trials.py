@@ -57,7 +57,13 @@ def read_trial(root: Path, beginning: str) -> TrialRecord:
         InvalidValueError: no such trial, or more than one.
         HeftError: a file of it is damaged.
     """
-    folder = _folder_of(root, beginning)
+    keys = keys_of(root)
+    found = [key for key in keys if key.startswith(beginning)]
+    check_unambiguous("TRIAL", beginning, found)
+    if not found:
+        allowed = f"the beginning of one trial's key in {root / 'trials'}: {some_keys(keys) or 'none'}"
+        raise InvalidValueError("TRIAL", beginning, allowed)
+    folder = root / "trials" / found[0]
     trajectory, content = load_trajectory(folder / "trajectory.parquet"), read_json(folder / "trial.json")
     assert content is not None
     try:
@@ -126,16 +132,6 @@ def keys_of(root: Path) -> list[str]:
     if not (root / "trials").is_dir():
         raise InvalidValueError("DIR", str(root), "a results folder, with trials in it")
     return done_keys(root, "trials")
-
-
-def _folder_of(root: Path, beginning: str) -> Path:
-    keys = keys_of(root)
-    found = [key for key in keys if key.startswith(beginning)]
-    if len(found) == 1:
-        return root / "trials" / found[0]
-    check_unambiguous("TRIAL", beginning, found)
-    named = some_keys(keys) or "none"
-    raise InvalidValueError("TRIAL", beginning, f"the beginning of one trial's key in {root / 'trials'}: {named}")
 
 
 def kind_of_trial(root: Path, key: str) -> str:

@@ -39,12 +39,10 @@ def with_meshes(scenario: Scenario, data: Path | None, folder: Path, progress: P
         if data is not None:
             raise InvalidValueError("--data", str(data), "none: the objects of this scenario need no data")
         return scenario, []
-    if data is None:
-        raise InvalidValueError("--data", None, f"a folder with files {meshes.files}: {meshes.source}")
-    files = {_name(file): file for file in sorted(data.glob(meshes.files))}
+    files = {} if data is None else {_name(file): file for file in sorted(data.glob(meshes.files))}
     if not files:
         allowed = f"a folder with files {meshes.files}: {meshes.source}"
-        raise InvalidValueError("--data", str(data), allowed)
+        raise InvalidValueError("--data", data and str(data), allowed)
     wanted = scenario.objects or list(files)
     if unknown := [name for name in wanted if name not in files]:
         raise InvalidValueError("objects", unknown, f"some of {', '.join(files)}{nearest(unknown[0], files)}")

@@ -23,7 +23,6 @@ from testbed.files import unless_damaged
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectShape
 from testbed.toml import toml_text
-from viz.report.answers import Answer
 from viz.report.lists import names
 from viz.report.report import Results, write_report
 from viz.values import support_name
@@ -39,7 +38,9 @@ def report(folder: Path) -> Path:
     manifest = unless_damaged(lambda: read_manifest(folder), "left out") or {}
     table = folder / "results.parquet"
     scenario = manifest.get("scenario") or {}
-    rows = _in_order(load_rows(folder) if table.is_file() else [], scenario)
+    place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}  # then the others
+    rows = sorted(load_rows(folder) if table.is_file() else [], key=lambda row: place.get(row["object"], len(place)))
+    measured = select(rows, sensing=SENSING)  # of simulated trials the errors say more than the answers
     if not rows:
         raise InvalidValueError("DIR", str(folder), "a folder with a results.parquet; `heft run` makes one")
     name = str(manifest.get("name") or folder.resolve().name)
@@ -55,25 +56,13 @@ def report(folder: Path) -> Path:
         tracebacks=load_tracebacks(folder),
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
         bad_trials=_bad(folder),
-        answers=_answers(folder, rows),
+        answers=unless_damaged(lambda: answers_of(folder, measured), "left out") or [],
         trials_of=lambda name: unless_damaged(
             lambda: trials_view(folder, select(rows, object=name)), "its trials are left out"
         ),
     )
     write_report(results, path := inside(folder, "report.html"))
     return path
-
-
-def _answers(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
-    """Answers from measured trials: of simulated ones their errors say more."""
-    measured = [row for row in rows if row["sensing"] == SENSING]
-    return unless_damaged(lambda: answers_of(folder, measured), "left out") or []
-
-
-def _in_order(rows: Sequence[Row], scenario: Mapping[str, Any]) -> list[Row]:
-    """Objects as the scenario names them, then the others."""
-    place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}
-    return sorted(rows, key=lambda row: place.get(row["object"], len(place)))
 
 
 def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dict[str, str]:

@@ -39,15 +39,9 @@ PLANNED = ("greedy", "batch", "random", "online")
 
 
 FIELDS_OF = {
-    "pivots": RANK_DRIVEN,
-    "accelerated": RANK_DRIVEN,
-    "most": RANK_DRIVEN,
+    **dict.fromkeys(("pivots", "accelerated", "most"), tuple(RANK_DRIVEN)),
     "touches": ("push", "drag", *PLANNED),
-    "until": PLANNED,
-    "budget_s": PLANNED,
-    "criterion": PLANNED,
-    "candidates": PLANNED,
-    "assumed_support": PLANNED,
+    **dict.fromkeys(("until", "budget_s", "criterion", "candidates", "assumed_support"), PLANNED),
 }
 """heft's own policies that a field is for, of those that are not for all."""
 

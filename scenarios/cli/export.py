@@ -276,6 +276,8 @@ def exported_of(folder: Path, row: Row) -> Exported:
     Raises:
         InvalidValueError: it has no masses.
     """
+    import numpy as np
+
     from scenarios.views.values import estimate_view, typical_trial
     from testbed.objects.export import Exported
 
@@ -295,9 +297,7 @@ def exported_of(folder: Path, row: Row) -> Exported:
         return exported
     own = typical_trial(folder, row).object.hinge_friction
     given = row.get("hinge_Nm")
-    found = [
-        math.nan if torque is None else float(torque) for torque in ([None] * len(own) if given is None else given)
-    ]
+    found = [math.nan] * len(own) if given is None else np.array(given, dtype=float).tolist()
     torques, more = [], []
     for index, torque in enumerate(found):
         if math.isnan(torque):

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from estimators.evaluation.statistics import AXIS, Row, select
+from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from scenarios.catalog import scenario_names
 from scenarios.config import Scenario, load_scenario
 from scenarios.results.estimates import load_losses, load_rows, load_tracebacks
@@ -70,11 +70,7 @@ def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dic
     scenario = manifest.get("scenario") or {}
     packages = manifest.get("packages") or {}
     seconds = [row["seconds"] for row in rows if row.get("seconds") is not None]
-    axes = {
-        k.removeprefix(AXIS): _each(rows, k)
-        for k in dict.fromkeys(k for row in rows for k in row)
-        if k.startswith(AXIS)
-    }
+    axes = {axis.removeprefix(AXIS): _each(rows, axis) for axis in axes_of(rows)}
     wall = manifest.get("wall_s")
     facts = {
         "objects": names(_each(rows, "object")),

@@ -63,23 +63,14 @@ MPD = Metric(
     "mpd_of_truth_m",
     "Mean particle distance at the end of a turn, open loop: errors grow along the way, of the true masses too",
 )
-MPD_OPEN_LOOP = Metric(
-    "mpd_open_loop_m",
-    "Mean particle distance after 1 s of open loop, cm",
-    100.0,
-    {},
-    "mpd_open_loop_of_truth_m",
-    "Mean particle distance after 1 s of open loop",
+SHORTER_MPDS = tuple(
+    Metric(f"mpd_{name}_m", f"{title}, cm", 100.0, {}, f"mpd_{name}_of_truth_m", title)
+    for name, title in (
+        ("open_loop", "Mean particle distance after 1 s of open loop"),
+        ("turn", "Mean particle distance over a whole turn, state reset each step"),
+    )
 )
-MPD_TURN = Metric(
-    "mpd_turn_m",
-    "Mean particle distance over a whole turn, state reset each step, cm",
-    100.0,
-    {},
-    "mpd_turn_of_truth_m",
-    "Mean particle distance over a whole turn, state reset each step",
-)
-METRICS = (NAD, MPD_OPEN_LOOP, MPD_TURN, MPD)
+METRICS = (NAD, *SHORTER_MPDS, MPD)
 HINGES = Metric("hinge_error", "Mean error of the hinges' friction over its mean, %", 100.0, {})
 COM = Metric("com_error_m", "Distance of the center of mass from the true one, mm", 1e3, {})
 INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})

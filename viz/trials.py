@@ -31,13 +31,10 @@ class TrialsView(ActionsView):
     @classmethod
     def of(cls, shape: ObjectShape, trajectories: Sequence[Trajectory], title: str) -> Self:
         """View of the trials in which something moves."""
-        moved = [trajectory for trajectory in trajectories if trajectory.action.moves]
-        paths = {number: push_contacts(shape, trajectory) for number, trajectory in enumerate(moved, start=1)}
-        cameras = {
-            n: t.camera for n, t in enumerate(moved, start=1) if shape.chain is not None and t.camera is not None
-        }
-        contacts = {number: path for number, path in paths.items() if len(path)}
-        return cls(shape, tuple(t.action for t in moved), title, contacts, cameras)
+        moved = dict(enumerate((trial for trial in trajectories if trial.action.moves), start=1))
+        contacts = {n: path for n, trial in moved.items() if len(path := push_contacts(shape, trial))}
+        cameras = {n: t.camera for n, t in moved.items() if shape.chain is not None and t.camera is not None}
+        return cls(shape, tuple(trial.action for trial in moved.values()), title, contacts, cameras)
 
     @property
     def strokes(self) -> Float[np.ndarray, "N 2"]:

@@ -246,8 +246,7 @@ class ActionsView:
     @property
     def arrows(self) -> dict[int, ActionArrow]:
         """Arrows of the actions on the table, by their number from 1."""
-        numbered = enumerate(self.actions, start=1)
-        return {n: ActionArrow.of(self.shape, a) for n, a in numbered if a.on_table}
+        return {n: ActionArrow.of(self.shape, a) for n, a in enumerate(self.actions, start=1) if a.on_table}
 
     @property
     def lifts(self) -> dict[int, Float[np.ndarray, "2"]]:

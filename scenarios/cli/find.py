@@ -58,7 +58,6 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
 
 
 def _table(log: Path, found: Sequence[Segment]) -> Table:
-    """Segments down."""
     table = Table(title=Text(str(log)), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("from s", "to s", "", "speed", "through", "center mm", "grasp", "tare from s"):
         words = name in ("", "grasp")

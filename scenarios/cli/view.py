@@ -319,7 +319,6 @@ def _mass(model: ObjectModel, group: int) -> str:
 
 
 def _friction(model: ObjectModel, group: int) -> str:
-    """Friction under a mass group."""
     touching = np.unique(model.shape.friction_group[model.shape.mass_group == group])
     return " ".join(f"{model.truth.friction[k]:g}" for k in touching if k >= 0) or "no contact"
 

@@ -46,22 +46,22 @@ _TRIAL_FILES = ("trial.json", "trajectory.parquet", "foot_forces.parquet")
 
 def key_of(request: dict[str, Any]) -> str:
     """Content key: a hash of canonical JSON."""
-    return _digest(_canonical(request))
+    return _digest(_canonical(request).encode())
 
 
 def keys_of_seeds(request: dict[str, Any], seeds: Iterable[int]) -> list[str]:
     """Content keys of a request with each seed, as `key_of` of each: its text is written once."""
     mark = "\0seed\0"
     begin, end = _canonical(request | {"seed": mark}).split(json.dumps(mark))
-    return [_digest(f"{begin}{seed}{end}") for seed in seeds]
+    return [_digest(f"{begin}{seed}{end}".encode()) for seed in seeds]
 
 
 def _canonical(request: dict[str, Any]) -> str:
     return json.dumps(request, sort_keys=True, separators=(",", ":"))
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:20]
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:20]
 
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
@@ -118,13 +118,13 @@ def _grasp_request(grasp: Grasp) -> list[float | None]:
 
 def _solid_hash(solid: Solid) -> str:
     parts = (solid.vertices.tobytes(), solid.faces.astype(np.int64).tobytes(), np.float64(solid.mass).tobytes())
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:20]
+    return _digest(b"".join(parts))
 
 
 @lru_cache(maxsize=1)
 def _asset_hash() -> str:
     files = sorted(asset_folder("mjcf").glob("*.xml"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:20]
+    return _digest(b"".join(file.read_bytes() for file in files))
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Store:
     @property
     def draws(self) -> dict[str, str]:
         """Entry of a content key that depends on the run's draws: a digest of the secret."""
-        return {"draws": hashlib.sha256(self.secret.encode()).hexdigest()[:20]} if self.secret else {}
+        return {"draws": _digest(self.secret.encode())} if self.secret else {}
 
     def has_trial(self, key: str) -> bool:
         """True if a trial is done."""

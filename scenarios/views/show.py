@@ -162,7 +162,6 @@ def _view(answer: Estimate, obj: ObjectModel, method: str) -> EstimateView:
 
 
 def _in_notebook() -> bool:
-    """True in a notebook's kernel."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return hasattr(shell, "kernel")

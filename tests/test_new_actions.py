@@ -15,22 +15,15 @@ from estimators.action_selection.greedy import greedy_plan
 from estimators.action_selection.plan import FeasibilityLog, Goal
 from estimators.posterior.estimator import Bayes
 from scenarios.views.values import wrench_fit
+from testbed import ObjectShape, Push, Rotate, SimulationRunner, Trial, faces, load_object, preset
 from testbed.actions import base
 from testbed.actions.base import Action, ActionWords, TableAction, action_from_dict
 from testbed.actions.path import Steady
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
 from testbed.exporters.ros2 import mapping_text, write_mcap
 from testbed.importers.importer import import_trajectory
-from testbed.objects.faces import faces
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
-from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import window_samples
 from testbed.simulation.rendering import body_poses
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
-from testbed.trial import Trial
 from tests.fakes.robot import robot_for
 from tests.helpers.chunks import read_chunks, verify
 from viz.figures.trials import trials_figure

@@ -18,19 +18,11 @@ import numpy as np
 
 from scenarios.cli.main import main
 from scenarios.results.store import Store, key_of, object_request
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.files import load_object
+from testbed import RIGID, Lift, Push, Rotate, SimulationRunner, Slide, Trial, draw_sensing, load_object, preset
 from testbed.robot.calibration.file import save_calibration
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.runner import read_off
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import SCHEMA_VERSION, Trajectory
-from testbed.trial import RIGID, Trial
 from tests.archives.read import HERE, content
 from tests.fakes.lab_bench import mapping_of, write_csv, write_toml
 from tests.fakes.robot import robot_for

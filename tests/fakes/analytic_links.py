@@ -14,15 +14,11 @@ from jaxtyping import Float
 from scipy.integrate import solve_ivp
 
 from estimators.testing.analytic_world import HEIGHT, RATE, own_weight_loads, record
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, ObjectModel, Phase, Rotate, Slide, Trajectory
 from testbed.frames import cross_2d, perpendicular, pose_from_point, rotation_2d
 from testbed.objects.blocks import block_object, parse_layout
 from testbed.objects.chain import Chain
-from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import PoseStream
-from testbed.trajectory import Phase, Trajectory
 
 SLOW = 1e-7
 """Speed at which friction of a particle fades [m/s]: the center of a link's turn comes to rest on one, as it does."""

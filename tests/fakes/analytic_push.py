@@ -13,11 +13,9 @@ from jaxtyping import Float
 
 from estimators.identifiability.quasi_static import Drag
 from estimators.testing.analytic_world import HEIGHT, RATE, own_weight_loads, record
-from testbed.actions.push import Push
+from testbed import ObjectModel, Phase, Push, Trajectory
 from testbed.frames import cross_2d, perpendicular, rotation_2d
-from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import PoseStream
-from testbed.trajectory import Phase, Trajectory
 
 
 def drag_of(obj: ObjectModel) -> Drag:

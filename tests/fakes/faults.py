@@ -11,12 +11,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from testbed.errors import HeftError
+from testbed import HeftError, Phase, Trajectory, Trial, steady_windows
 from testbed.robot.raw_record import RawRecord
 from testbed.robot.robotiq.ft300s import NOISE
-from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Phase, Trajectory
-from testbed.trial import Trial
 from tests.fakes.robot import ACTION, COUNTS, FakeRobot, robot_for, run_trial, small_object
 
 BOUND = 0.150

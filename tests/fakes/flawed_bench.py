@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.testing.analytic_world import HEIGHT, analytic_trial
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import GRAVITY, Accelerate, ObjectModel, Rotate, Slide, Trajectory
 from testbed.frames import cross_2d, move_wrench, perpendicular, rotate_wrench, rotation_2d, rotation_matrix
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.trajectory import Trajectory
 
 
 def biased(trajectory: Trajectory, bias: np.ndarray, stated: np.ndarray | float = 0.0) -> Trajectory:

@@ -10,11 +10,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from testbed import HeftError, Phase, Trajectory
 from testbed.actions.path import minimum_jerk
-from testbed.errors import HeftError
 from testbed.importers.importer import import_trajectory
 from testbed.toml import toml_text
-from testbed.trajectory import Phase, Trajectory
 from tests.helpers.records import series_of
 
 MOUNT = Rotation.from_euler("xyz", [180, 0, 123], degrees=True)

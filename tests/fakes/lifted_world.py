@@ -4,10 +4,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import DOWN, HEIGHT, RATE, TOOL, record
-from testbed.actions.lift import Lift
+from testbed import GRAVITY, Lift, ObjectModel, Phase, Trajectory
 from testbed.frames import move_wrench, rotate_wrench
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.trajectory import Phase, Trajectory
 
 BIAS = np.array([0.05, 0.05, 0.05, 0.003, 0.003, 0.003])
 """Left after the tare, one standard deviation, N and N m, sensor axes."""

@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed.actions.push import Push
-from testbed.actions.slide import Slide
+from testbed import ObjectModel, Push, Slide, Trial
 from testbed.objects.chain import Chain
-from testbed.objects.model import ObjectModel
 from testbed.robot.camera.interface import SeenFrame
-from testbed.trial import Trial
 from tests.fakes.robot import FakeRobot, small_object
 
 Lie = Callable[[list[SeenFrame]], SeenFrame]

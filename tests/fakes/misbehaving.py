@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from estimators.base import Estimate
-from testbed.objects.model import MassDistribution, ObjectShape
-from testbed.trajectory import Trajectory
+from testbed import MassDistribution, ObjectShape, Trajectory
 
 
 @dataclass(frozen=True)

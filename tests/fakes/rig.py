@@ -10,8 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from testbed.actions.rotate import Rotate
-from testbed.objects.model import ObjectModel
+from testbed import ObjectModel, Rotate, Sensing, Trajectory, Trial, preset
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError, SensorIdentity
 from testbed.robot.kinova.arm import KortexArm
@@ -19,9 +18,6 @@ from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.path import KnownPose, starting_pose
 from testbed.robot.robotiq.ft300s import Ft300s
 from testbed.robot.runner import RealRunner
-from testbed.sensing.presets import Sensing, preset
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.rotate import Rotate
+from testbed import Rotate, Trajectory, Trial, preset
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.camera.interface import CameraLostError, SeenFrame
 from testbed.robot.config import RobotSettings
@@ -34,10 +34,7 @@ from testbed.robot.raw_record import RawRecord
 from testbed.robot.robotiq.ft300s import NOISE, REPEATS
 from testbed.robot.runner import RealRunner
 from testbed.sensing.camera import CAMERAS
-from testbed.sensing.presets import preset
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
 from tests.fakes.world import TICK, Gen3World
 from tests.helpers.blocks import blocks
 

@@ -9,14 +9,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from testbed import OWN_WEIGHT, Sensing, SimulationSettings, Support, preset
 from testbed.actions.base import Fingertip
 from testbed.objects.model import STROKE, ObjectModel
 from testbed.robot.interfaces import ArmState, Pose
-from testbed.sensing.presets import Sensing, preset
 from testbed.simulation.motion import joint_path
 from testbed.simulation.scene import HOME, build_scene
-from testbed.simulation.settings import SimulationSettings
-from testbed.trial import OWN_WEIGHT, Support
 
 IDEAL = preset("ideal")
 TICK = 0.01

@@ -7,29 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.base import Estimate
+from estimators import Estimate, build_method, observe
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.information import Assumptions, expected
 from estimators.particles.lifts import lifts_among
-from estimators.particles.observe import observe
 from estimators.particles.wrench import predicted_wrenches
-from estimators.registry import build_method
 from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
 from estimators.testing.recorded import load_block
 from estimators.wrench.model import RIGID, ModelErrors
 from scenarios.config import Sweep, load_scenario
 from scenarios.study.run import run_scenario
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.objects.faces import faces
-from testbed.objects.model import ObjectModel
+from testbed import Accelerate, Lift, ObjectModel, Push, Rotate, Slide, Trajectory, faces, preset, world
 from testbed.sensing.camera import CAMERAS, draw_camera
-from testbed.sensing.presets import preset
-from testbed.trajectory import Trajectory
-from testbed.worlds.presets import world
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes

@@ -6,8 +6,7 @@ import numpy as np
 
 from estimators.learned.examples import RATES
 from estimators.testing.analytic_lab import LAB, Draw, contacts, flawed_trial
-from testbed.actions.rotate import Rotate
-from testbed.objects.model import ObjectShape
+from testbed import ObjectShape, Rotate
 
 SEED = 7
 

@@ -4,10 +4,7 @@ from pathlib import Path
 
 from scenarios.results.store import Store
 from scenarios.study.trials import simulate
-from testbed.actions.base import Action
-from testbed.objects.files import load_object
-from testbed.simulation.settings import SimulationSettings
-from testbed.trial import OWN_WEIGHT, Support, Trial
+from testbed import OWN_WEIGHT, Action, SimulationSettings, Support, Trial, load_object
 
 
 def put_trial(

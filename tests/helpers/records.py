@@ -8,10 +8,8 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import DOWN, RATE, TOOL, record
+from testbed import GRAVITY, Sensing, Trajectory
 from testbed.frames import perpendicular, pose_from_point, rotation_2d
-from testbed.objects.model import GRAVITY
-from testbed.sensing.presets import Sensing
-from testbed.trajectory import Trajectory
 
 
 def series_of(trajectory: Trajectory, rows: slice | np.ndarray = slice(None)) -> dict[str, np.ndarray]:

@@ -11,18 +11,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
+from testbed import Accelerate, Rotate, SetupErrors, Slide, Trial, TrialRunner, Weigh, steady_windows
 from testbed.errors import InfeasibleTrialError
 from testbed.objects.model import MassDistribution, ObjectModel
 from testbed.sensing.camera import PoseStream
 from testbed.sensing.compensation import compensate
-from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Status, Tool, Trajectory, load_trajectory, save_trajectory
-from testbed.trial import Trial, TrialRunner
-from testbed.worlds.setup_errors import SetupErrors
 
 RATE = 100.0
 """Samples a second."""

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from scenarios.config import load_scenario
-from scenarios.study.run import run_scenario
+from scenarios import load_scenario, run_scenario
 from testbed.trajectory import load_trajectory
 
 Victim = Literal["worker", "driver", "both"]

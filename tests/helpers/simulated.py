@@ -2,11 +2,7 @@
 
 from functools import cache
 
-from testbed.actions.base import Action
-from testbed.objects.files import load_object
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
+from testbed import Action, SimulationRunner, Trajectory, Trial, load_object
 
 
 @cache

@@ -18,9 +18,7 @@ from scenarios.study.dry_run import show_dry_run
 from scenarios.study.experiment import experiments_of
 from scenarios.study.meshes import with_meshes
 from scenarios.study.run import _asked_again
-from testbed import InfeasibleTrialError, Push
-from testbed.errors import HeftError
-from testbed.objects.files import load_object
+from testbed import HeftError, InfeasibleTrialError, Push, load_object
 from tests.helpers.commands import ended, refusal
 from tests.helpers.runs import quiet
 

@@ -15,10 +15,7 @@ from scenarios.results.store import Store
 from scenarios.results.trials import sensed_trials
 from scenarios.study.dry_run import DryRun
 from scenarios.study.experiment import experiments_of
-from testbed.actions.base import Action
-from testbed.objects.model import ObjectShape
-from testbed.sensing.windows import weight_of
-from testbed.trajectory import Trajectory
+from testbed import Action, ObjectShape, Trajectory, weight_of
 from tests.helpers.runs import Killing, kill_a_run, quiet, resumed, small_scenario
 
 ONLINE = """

@@ -8,16 +8,12 @@ from typing import Any
 
 import pytest
 
+from scenarios import load_results, run_scenario
 from scenarios.config import Scenario, Simulation, load_scenario
 from scenarios.policies import Policy
-from scenarios.results.estimates import load_results
 from scenarios.runners import feasible_grasps
 from scenarios.study.dry_run import check_code
-from scenarios.study.run import run_scenario
-from testbed.actions.slide import Slide
-from testbed.errors import HeftError, InfeasibleTrialError
-from testbed.objects.files import load_object
-from testbed.trial import Trial, TrialRunner
+from testbed import HeftError, InfeasibleTrialError, Slide, Trial, TrialRunner, load_object
 from tests.helpers.pages import BLOCKS, EXAMPLES
 from tests.helpers.runs import quiet
 

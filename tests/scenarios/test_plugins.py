@@ -20,12 +20,8 @@ from scenarios.results.estimates import load_results
 from scenarios.results.files import read_json
 from scenarios.study.dry_run import check_code
 from scenarios.study.estimates import judged_answers
-from testbed.actions.rotate import Rotate
-from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import ObjectShape
+from testbed import HeftError, InvalidValueError, ObjectShape, Rotate, SimulationSettings, load_object
 from testbed.plugins import configured, find_class, load_class, source_hash
-from testbed.simulation.settings import SimulationSettings
 from tests.helpers.commands import ended
 
 MODULE = '''

@@ -11,20 +11,15 @@ from rich.console import Console
 from estimators.base import Estimate
 from estimators.evaluation.statistics import axes_of
 from estimators.testing.analytic_world import turns
+from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
 from scenarios.cli.main import main
 from scenarios.cli.run import status
-from scenarios.config import Scenario, load_scenario
-from scenarios.results.estimates import load_results, load_trajectories
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.results.table import rows_of, write_rows
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
-from scenarios.study.run import run_scenario
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.trajectory import Trajectory
+from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
 from tests.helpers.commands import ended, refusal
 from tests.helpers.runs import quiet
 from viz.report.tables import NAD, quantile_table

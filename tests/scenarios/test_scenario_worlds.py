@@ -12,13 +12,7 @@ from scenarios.results.store import Store, key_of, trial_request
 from scenarios.results.trials import sensed_trials
 from scenarios.study.dry_run import DryRun
 from scenarios.study.run import run_scenario
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
-from testbed.simulation.settings import SimulationSettings
-from testbed.trial import Trial
-from testbed.worlds.draw import WorldDraw
-from testbed.worlds.presets import World, world
+from testbed import InvalidValueError, Rotate, SimulationSettings, Trial, World, WorldDraw, load_object, world
 from tests.helpers.runs import quiet
 
 POLICY = Policy(duration=1.6, pivots=1, accelerated=1, held_out=0)

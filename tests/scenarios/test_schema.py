@@ -12,8 +12,7 @@ import pytest
 
 from scenarios.catalog import LIBRARY, scenario_names
 from scenarios.config import Scenario, Truth, load_scenario
-from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import load_object
+from testbed import HeftError, InvalidValueError, load_object
 from testbed.objects.random import Family
 from testbed.toml import InvalidFileError
 

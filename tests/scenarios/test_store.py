@@ -26,17 +26,11 @@ from scenarios.results.store import Store, key_of, keys_of_seeds, object_request
 from scenarios.results.table import ResultTable, rows_of, write_rows
 from scenarios.results.trials import keys_of, measured_records, read_trial
 from scenarios.views import finished as finished_views
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
-from testbed.errors import HeftError, InvalidValueError
+from testbed import RIGID, HeftError, InvalidValueError, Rotate, Slide, Trial, Weigh, load_object, save_trajectory
 from testbed.files import DamagedFileError, DamagedFileWarning, load_sealed, read_file, write_text, write_whole
-from testbed.objects.files import load_object
 from testbed.objects.model import STROKE
 from testbed.objects.random import Family
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trajectory import save_trajectory
-from testbed.trial import RIGID, Trial
 from tests.helpers.changes import resealed
 from tests.helpers.commands import refusal
 from tests.helpers.recorded import put_trial

@@ -18,19 +18,11 @@ from scenarios.policies import Policy
 from scenarios.results.store import Store
 from scenarios.runners import feasible_grasps, redacted
 from scenarios.study.run import check_nothing_lost, run_scenario
-from testbed.actions.rotate import Rotate
+from testbed import Rotate, SimulationRunner, Trajectory, Trial, WorldDraw, draw_sensing, load_object, preset, world
 from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
 from testbed.worlds import seeds
-from testbed.worlds.draw import WorldDraw
-from testbed.worlds.presets import world
 from tests.helpers.runs import quiet, small_scenario
 
 SPIES = """

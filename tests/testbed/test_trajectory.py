@@ -14,24 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from scenarios.results.files import write_json
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
+from testbed import GRAVITY, Accelerate, Action, Rotate, SetupErrors, Slide, Weigh, draw_sensing, load_object, preset
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.files import UNSEALED, DamagedFileError, write_sealed, write_whole
 from testbed.foot_forces import FootForces, load_foot_forces, save_foot_forces
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY
 from testbed.replay import Recording, ReplayRunner
 from testbed.sensing.compensation import compensate
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import RIGID, Trial
-from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.records import TOOL, moving_hand, record
 
 SERIES = [name for name, value in vars(record(3)).items() if isinstance(value, np.ndarray)]

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimators import Bayes, Estimate, Estimator, HiddenStates, SupportAware, Trace
-from estimators.evaluation.metrics import normalized_absolute_difference
+from estimators import Bayes, Estimate, Estimator, HiddenStates, SupportAware, Trace, normalized_absolute_difference
 from estimators.testing import conformance as rules
 from estimators.testing import plugin, recorded
 from estimators.testing.conformance import (

@@ -19,8 +19,7 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.table import Table
-from testbed import GRAVITY, Accelerate, ObjectModel, Push, Rotate, Slide, Trajectory, preset
-from testbed.objects.faces import faces
+from testbed import GRAVITY, Accelerate, ObjectModel, Push, Rotate, Slide, Trajectory, faces, preset
 from testbed.sensing.compensation import SIDEWAYS
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain

@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from estimators.base import Estimate
-from estimators.registry import build_method
+from estimators import Estimate, build_method
 from estimators.testing.recorded import load_block
 from estimators.testing.truth import truth_within_reach
 from scenarios.benchmark import methods
@@ -32,9 +31,8 @@ from scenarios.benchmark.score import (
 from scenarios.cli.main import main
 from scenarios.policies import Policy
 from scenarios.results.store import Store, object_request
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, MassDistribution
 from testbed.objects.files import ObjectFile, asset_folder, load_object
-from testbed.objects.model import MassDistribution
 from testbed.trajectory import SERIES
 from tests.helpers.commands import ended
 from tests.helpers.pages import BLOCKS as PAGE_BLOCKS

@@ -16,8 +16,7 @@ from pydantic import BaseModel
 
 import scenarios.cli.main as commands
 import scenarios.results.estimates
-from estimators.base import Estimate, Trace
-from estimators.registry import METHODS
+from estimators import METHODS, Estimate, Trace
 from scenarios.cli.main import main
 from scenarios.config import (
     Grid,

@@ -21,16 +21,10 @@ from scenarios.study.run import EstimateRequest
 from scenarios.views.answers import answers_of
 from scenarios.views.next_step import next_step
 from scenarios.views.values import estimate_view, trial_view
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import ReplayRunner, Rotate, SimulationRunner, Slide, Trajectory, Trial, load_object
 from testbed.importers.importer import import_trajectory
-from testbed.objects.files import load_object
-from testbed.replay import ReplayRunner
 from testbed.sensing.compensation import compensate
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
 from tests.fakes.lab_bench import mapping_of, tared_again, write_csv, write_toml
 from tests.helpers.commands import ended, refusal
 from tests.helpers.recorded import put_trial

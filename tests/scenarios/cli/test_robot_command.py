@@ -23,16 +23,9 @@ from estimators.testing.analytic_world import analytic_trial, drawn_object
 from scenarios.cli.robot.calibrate import COLUMNS
 from scenarios.cli.robot.trial import action_of, push_of
 from scenarios.results.store import Store, object_request
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.base import Action
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
+from testbed import Accelerate, Action, Push, Range, ReplayRunner, Rotate, Slide, Trajectory, Trial, Weigh, load_object
 from testbed.errors import HeftError, InvalidValueError
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
-from testbed.replay import ReplayRunner
 from testbed.robot.calibration.file import load_calibration, load_hand_eye, save_calibration
 from testbed.robot.calibration.hand_eye import TrackedPose
 from testbed.robot.calibration.static_poses import Calibration, Sign
@@ -41,9 +34,6 @@ from testbed.robot.interfaces import ArmState, Pose, SensorHealth, SensorIdentit
 from testbed.robot.path import KnownPose, starting_pose
 from testbed.robot.registry import build_sensor, gripper_class, load_robot_file
 from testbed.robot.runner import read_off
-from testbed.trajectory import Trajectory
-from testbed.trial import Trial
-from testbed.validation import Range
 from tests.fakes.ft300s import FakeFt300s
 from tests.fakes.gen3 import FakeGen3
 from tests.fakes.rig import KORTEX, FakeRig

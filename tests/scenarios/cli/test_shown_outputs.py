@@ -11,10 +11,9 @@ import pytest
 from bench.tables import METHODS, Figures, readme_table, replaced, shown
 from estimators.testing.conformance import recovers
 from estimators.testing.recorded import load_block
+from scenarios import load_scenario, run_scenario
 from scenarios.cli.main import main
-from scenarios.config import load_scenario
 from scenarios.results.table import rows_of
-from scenarios.study.run import run_scenario
 from tests.helpers.pages import BLOCKS, README, ROOT, Block, blocks_of, run_file, write_tutorial
 from tests.helpers.runs import quiet
 

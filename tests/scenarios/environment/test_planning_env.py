@@ -14,12 +14,9 @@ import pytest
 from estimators.action_selection.trained import TrainedIndex
 from estimators.evaluation.metrics import normalized_absolute_difference
 from estimators.testing.truth import truth_within_reach
-from scenarios.config import Scenario
+from scenarios import Scenario, run_scenario
 from scenarios.policies import Policy
-from scenarios.study.run import run_scenario
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
+from testbed import InvalidValueError, Rotate, load_object
 from tests.helpers.pages import DOCS, blocks_of, run_file
 from tests.helpers.runs import quiet, small_scenario
 

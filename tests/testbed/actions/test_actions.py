@@ -12,24 +12,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from estimators.action_selection.candidates import ActionFamily
-from testbed.actions.accelerate import Accelerate
+from testbed import RIGID, Accelerate, Lift, Rotate, SimulationRunner, Slide, Trial, Weigh, faces, load_object
 from testbed.actions.base import Action, TableAction, action_from_dict
-from testbed.actions.lift import Lift
 from testbed.actions.path import HIGH, LOW, RAMP_TIME, WORKSPACE, PlanarPath, outline, overhang_of
 from testbed.actions.push import GAP, Push
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import transform_point
-from testbed.objects.faces import faces
-from testbed.objects.files import load_object
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.motion import plan_motion
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import part
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trial import RIGID, Trial
 
 SHAPE = load_object("L2").shape
 GRASP = st.integers(0, 20)

@@ -11,18 +11,12 @@ from estimators.testing.analytic_world import record
 from estimators.wrench.air import Air
 from scenarios.views.pages import page_of
 from scenarios.views.values import trial_view
-from testbed.actions.lift import Lift
+from testbed import Lift, Phase, SimulationRunner, draw_sensing, load_object, preset, steady_windows
 from testbed.errors import InfeasibleTrialError, InvalidValueError
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.lift_windows import lift_windows, poses_in_space
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
-from testbed.sensing.windows import steady_windows
 from testbed.simulation.rendering import Playback
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.helpers.blocks import blocks
 from tests.helpers.recorded import put_trial

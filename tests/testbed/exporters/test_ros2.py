@@ -8,21 +8,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, Lift, Push, Rotate, SetupErrors, Trajectory, draw_sensing, load_object, preset
 from testbed.exporters.ros2 import JOINTS, mapping_text, write_mcap
 from testbed.frames import rotation_matrix
 from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import open_messages
-from testbed.objects.files import load_object
 from testbed.sensing.link_windows import link_windows
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
-from testbed.trajectory import Trajectory
-from testbed.worlds.setup_errors import SetupErrors
 from tests.helpers.simulated import clean
 
 pytest.importorskip("rosbags", reason="needs the extra robot")

@@ -14,19 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
+from testbed import Phase, Push, Rotate, Trajectory, draw_sensing, load_object, preset
 from testbed.importers.importer import import_trajectory
 from testbed.importers.segments import find_segments
-from testbed.objects.files import load_object
 from testbed.sensing.camera import PoseStream
 from testbed.sensing.compensation import tare_samples
 from testbed.sensing.link_windows import link_windows
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.sensing.push_windows import push_windows
 from testbed.sensing.windows import SteadyWindow
-from testbed.trajectory import Phase, Trajectory
 from tests.fakes.lab_bench import (
     EPOCH,
     import_csv,

@@ -10,17 +10,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.accelerate import Accelerate
-from testbed.errors import HeftError, InvalidValueError
+from testbed import Accelerate, HeftError, InvalidValueError, Phase, Trajectory, draw_sensing, preset
 from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory
 from testbed.importers.logs import FACTORS, LogError, Series, factor
 from testbed.importers.phases import common_base, resampled, resampled_rotation
 from testbed.sensing.compensation import compensate
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.sensing.series import interpolated
-from testbed.trajectory import Phase, Trajectory
 from tests.fakes.lab_bench import at_other_rates, mapping_of, phases_of, write_toml
 from tests.helpers.simulated import clean
 

@@ -10,13 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
-from testbed.errors import HeftError
+from testbed import HeftError, Phase, Trajectory, steady_windows
 from testbed.importers.logs import LogError, Series
 from testbed.importers.phases import MOST_LEFT_OUT, without_faults
 from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import CalibrationError, StaticPose, calibrate
-from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Phase, Trajectory
 from tests.fakes.lab_bench import imported, mapping_of, write_csv
 from tests.fakes.static_hand import POSES, off, recorded
 

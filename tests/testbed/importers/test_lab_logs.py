@@ -13,16 +13,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import HeftError, InvalidValueError
+from testbed import Accelerate, HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
-from testbed.objects.files import load_object
 from testbed.sensing.compensation import compensate
-from testbed.sensing.presets import preset
-from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from tests.fakes.lab_bench import (
     EPOCH,

@@ -13,12 +13,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.errors import HeftError
+from testbed import HeftError, Trajectory
 from testbed.importers.columns import HandMap, TimeMap
 from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import MessageLog, open_messages
 from testbed.importers.poses import hand_pose
-from testbed.trajectory import Trajectory
 from tests.fakes.lab_bench import write_messages
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")

@@ -12,16 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.recorded import load_block
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.errors import HeftError, InvalidValueError
+from testbed import Accelerate, HeftError, InvalidValueError, Phase, Rotate, Slide, Trajectory, steady_windows
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import LogMap
 from testbed.importers.phases import linear_stretches, phases_from_motion
 from testbed.importers.segments import Segment, find_segments
-from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Phase, Trajectory
 from tests.fakes.lab_bench import columns, entry_of, import_csv, imported, mapping_of, strung, write_csv, write_toml
 from tests.helpers.records import series_of
 

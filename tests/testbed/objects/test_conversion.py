@@ -14,12 +14,11 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from scenarios.cli.main import main
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, load_object
 from testbed.objects.conversion.convert import convert_mesh, write_object
 from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
-from testbed.objects.files import load_object
 from tests.helpers.commands import ended
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))

@@ -21,18 +21,14 @@ from estimators.testing.analytic_world import drawn_object, turns
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_rows
 from scenarios.results.trials import keys_of, kind_of_trial, read_trial
-from testbed.actions.rotate import Rotate
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, Rotate, SimulationRunner, Trial, load_object
 from testbed.objects.bodies import AIR, RigidBody, boxes_of
 from testbed.objects.chain import Chain
 from testbed.objects.export import Exported, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
 from testbed.objects.export import written as export_text
-from testbed.objects.files import load_object
 from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
-from testbed.simulation.runner import SimulationRunner
-from testbed.trial import Trial
 from tests.fakes.analytic_links import drawn_chain
 from tests.helpers.commands import ended
 

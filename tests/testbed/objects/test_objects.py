@@ -8,14 +8,11 @@ import pytest
 from matplotlib.colors import to_rgba
 from numpy.testing import assert_allclose
 
-from testbed.errors import InvalidValueError
+from testbed import OWN_WEIGHT, InvalidValueError, SimulationSettings, load_object
 from testbed.objects.blocks import parse_layout
 from testbed.objects.colors import GROUP_COLORS, group_color, group_rgba
-from testbed.objects.files import load_object
 from testbed.objects.model import Grasp, MassDistribution, ObjectModel, ObjectShape, Solid
 from testbed.simulation.scene import build_scene
-from testbed.simulation.settings import SimulationSettings
-from testbed.trial import OWN_WEIGHT
 from tests.helpers.blocks import blocks
 
 SIZE = 0.05

@@ -15,19 +15,13 @@ from estimators.particles.wrench import predicted_wrenches
 from scenarios.cli.main import main
 from scenarios.results.store import object_request
 from scenarios.results.trials import object_of
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
+from testbed import OWN_WEIGHT, Accelerate, Phase, Rotate, SimulationRunner, Trial, WorldDraw, load_object
 from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.columns import HandMap
 from testbed.importers.mapping import MappedAction
 from testbed.objects.export import PAD_FOOT, PAD_PLATE, Exported, Pad, to_mjcf, to_object_file
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ROBOTIQ_2F85, Hand, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Phase
-from testbed.trial import OWN_WEIGHT, Trial
-from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
 from testbed.worlds.presets import WORLDS, World
 from tests.helpers.answers import nad

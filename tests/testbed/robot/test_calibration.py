@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from scenarios.cli.main import main
-from testbed.errors import InvalidValueError
+from testbed import GRAVITY, InvalidValueError
 from testbed.importers.logs import LogError
-from testbed.objects.model import GRAVITY
 from testbed.robot.calibration.file import load_calibration, save_calibration
 from testbed.robot.calibration.hand_eye import align
 from testbed.robot.calibration.recorded_poses import recorded_poses

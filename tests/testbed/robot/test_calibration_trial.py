@@ -11,15 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import analytic_trial, drawn_object
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import GRAVITY, ObjectModel, ObjectShape, Rotate, Slide, Trajectory, steady_windows
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
-from testbed.objects.model import GRAVITY, ObjectModel, ObjectShape
 from testbed.robot.calibration.motion import check_motion, check_wrenches, wrong_motion
 from testbed.robot.calibration.trial import Finding, check_trial
 from testbed.robot.weighing import Weighing, check_known_mass, held_center, weigh
-from testbed.sensing.windows import steady_windows
-from testbed.trajectory import Trajectory
 from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain

@@ -18,17 +18,13 @@ import torch
 from numpy.testing import assert_allclose
 
 import testbed
-from estimators.action_selection.rank import RankDriven
-from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.hidden_states.estimator import HiddenStates
-from testbed.objects.files import load_object
+from estimators import HiddenStates, RankDriven, normalized_absolute_difference
+from testbed import SimulationRunner, Trial, load_object
 from testbed.robot.interfaces import Arm, ArmLostError, ArmRefusedError, Gripper, MonotonicClock, Pose, RobotError
 from testbed.robot.kinova.arm import GEN3, KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.kinova.link import PYTHON_VARIABLE
 from testbed.simulation.motion import arm_model
-from testbed.simulation.runner import SimulationRunner
-from testbed.trial import Trial
 from tests.fakes.gen3 import FakeGen3, Faults
 from tests.fakes.rig import KORTEX, over_wires
 from tests.fakes.robot import small_object

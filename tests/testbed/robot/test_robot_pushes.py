@@ -11,10 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from estimators.inertial import least_squares_inertia, lift_equations, true_body
 from scenarios.cli.robot.trial import action_of
-from testbed.actions.lift import Lift
-from testbed.actions.push import Push
-from testbed.actions.rotate import Rotate
-from testbed.errors import InfeasibleTrialError
+from testbed import RIGID, InfeasibleTrialError, Lift, Phase, Push, Rotate, SimulationRunner, Trial, steady_windows
 from testbed.robot.calibration.motion import wrong_motion
 from testbed.robot.camera.interface import CameraLostError
 from testbed.robot.config import LimitsTable, RobotFile, RobotSettings
@@ -22,10 +19,6 @@ from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.path import described, plan_trial, starting_pose
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
-from testbed.sensing.windows import steady_windows
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Phase
-from testbed.trial import RIGID, Trial
 from tests.fakes.lying_camera import DRAG, LIES, begins, in_links, shifted
 from tests.fakes.lying_camera import PUSH as PUSH_TRIAL
 from tests.fakes.robot import briefly, robot_for, run_trial

@@ -7,19 +7,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
-from testbed.errors import InfeasibleTrialError
+from testbed import Accelerate, InfeasibleTrialError, Phase, Rotate, SimulationRunner, Slide, Tool, Weigh
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError
 from testbed.robot.kinova.gripper import data_sheet
 from testbed.robot.path import closing_yaw, plan_trial, starting_pose, tool_down
 from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.sensing.windows import steady_windows, weight_of
-from testbed.simulation.runner import SimulationRunner
-from testbed.trajectory import Phase, Tool
 from testbed.trial import RIGID, Trial, TrialRunner
 from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by, undisturbed
 from tests.fakes.robot import ACTION, robot_for, run_trial, small_object

@@ -13,9 +13,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import drawn_object
+from testbed import InvalidValueError, faces
 from testbed.actions.push import SPEEDS, Push
-from testbed.errors import InvalidValueError
-from testbed.objects.faces import faces
 from testbed.robot.camera.interface import CameraLostError, ObjectCamera, SeenFrame, SeenPose, seen_stream
 from testbed.robot.camera.udp import UdpCamera
 from testbed.robot.camera.watch import CameraWatch

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from estimators.testing.analytic_world import record
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, draw_sensing, load_trajectory, preset, save_trajectory
 from testbed.sensing.camera import CAMERAS, Camera, PoseStream, SeenMotion, draw_camera
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
-from testbed.trajectory import load_trajectory, save_trajectory
 
 TIME = np.arange(600) / 100
 

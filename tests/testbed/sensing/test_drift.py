@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.errors import InvalidValueError
+from testbed import InvalidValueError, Trial, draw_sensing, steady_windows
 from testbed.robot.config import RobotSettings
 from testbed.sensing.compensation import compensate, tare_biases
 from testbed.sensing.drift import Drift, DriftLimit, drift_of, judge_drift
-from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS, Sensing, preset
-from testbed.sensing.windows import steady_windows
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
-from testbed.trial import Trial
 from tests.fakes.robot import ACTION, FakeRobot, run_trial, small_object
 from tests.helpers.records import DOWN, coloured_noise, moving_hand, record
 

@@ -8,15 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
-from testbed.errors import InvalidValueError
+from testbed import GRAVITY, Accelerate, InvalidValueError, Rotate, Slide, Trajectory, Weigh, draw_sensing
 from testbed.frames import cross_2d, perpendicular, rotation_2d
-from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import compensate
-from testbed.sensing.noise import draw_sensing
 from testbed.sensing.presets import PRESETS, Sensing, preset
 from testbed.sensing.windows import (
     PARTS,
@@ -27,7 +21,6 @@ from testbed.sensing.windows import (
     steady_windows,
     weight_of,
 )
-from testbed.trajectory import Trajectory
 from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, series_of, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])

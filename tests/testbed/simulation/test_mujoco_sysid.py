@@ -8,15 +8,13 @@ import pytest
 from mujoco import sysid
 from numpy.testing import assert_allclose
 
+from estimators import normalized_absolute_difference, observe
 from estimators.baselines.mujoco_sysid import MujocoSysid, motion_of
-from estimators.evaluation.metrics import normalized_absolute_difference
-from estimators.particles.observe import observe
 from estimators.testing.analytic_world import accelerated, drawn_object, turns
 from estimators.testing.conformance import CONFORMANCE, WITHOUT_DRAWS, small_object
 from estimators.testing.recorded import load_block
-from testbed.errors import InvalidValueError
+from testbed import OWN_WEIGHT, RIGID, InvalidValueError
 from testbed.simulation.planar_sysid import compile_scene, planar_scene, sink_depths
-from testbed.trial import OWN_WEIGHT, RIGID
 from tests.helpers.blocks import blocks
 
 PAIR = blocks(["11"], [0.4, 0.1], grid=2)

@@ -11,7 +11,7 @@ import trimesh
 from estimators.hidden_states.estimator import HiddenStates
 from estimators.particles.wrench import predicted_wrenches
 from estimators.testing.analytic_world import drawn_object
-from testbed import RIGID, InfeasibleTrialError, Push, SimulationRunner, Trial, draw_sensing, preset
+from testbed import RIGID, InfeasibleTrialError, Push, SimulationRunner, Trial, WorldDraw, draw_sensing, preset, world
 from testbed.frames import rotation_2d
 from testbed.objects.faces import faces, room_at
 from testbed.objects.meshes import Part, mesh_object
@@ -20,8 +20,6 @@ from testbed.sensing.push_windows import push_samples, push_windows, touching
 from testbed.sensing.windows import wrench_in_object
 from testbed.simulation.rendering import Playback
 from testbed.trajectory import Trajectory
-from testbed.worlds.draw import WorldDraw
-from testbed.worlds.presets import world
 from tests.helpers.blocks import blocks
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])

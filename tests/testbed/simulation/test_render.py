@@ -23,15 +23,10 @@ from scenarios.cli.main import main
 from scenarios.results.files import write_json
 from scenarios.results.store import key_of, trial_request
 from scenarios.results.trials import TrialRecord, read_trial
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import Phase, Rotate, SimulationSettings, Slide, Trial, load_object
 from testbed.frames import transform_point
 from testbed.objects.colors import group_rgba
-from testbed.objects.files import load_object
 from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, Playback, bodies_named, camera, hide, object_pose
-from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Phase
-from testbed.trial import Trial
 from tests.helpers.commands import ended
 from tests.helpers.recorded import put_trial
 

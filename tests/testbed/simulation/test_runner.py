@@ -8,22 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
+from testbed import GRAVITY, Accelerate, ObjectModel, Phase, Rotate, SimulationRunner, Slide, Weigh, load_object
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import cross_2d, perpendicular, rotation_2d, transform_point
-from testbed.objects.files import load_object
-from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import SteadyWindow, steady_samples, steady_windows, weight_of
 from testbed.simulation import feasibility
 from testbed.simulation.controller import Servo
 from testbed.simulation.monitor import ContactRecord
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trajectory import Phase
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.fakes.analytic_links import drawn_chain
 from tests.helpers.blocks import blocks

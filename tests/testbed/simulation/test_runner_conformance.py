@@ -7,13 +7,8 @@ from typing import Any, Self, cast
 import numpy as np
 import pytest
 
-from testbed.actions.rotate import Rotate
-from testbed.errors import InfeasibleTrialError
-from testbed.objects.files import load_object
-from testbed.replay import ReplayRunner
-from testbed.simulation.runner import SimulationRunner
+from testbed import InfeasibleTrialError, ReplayRunner, Rotate, SimulationRunner, Trial, TrialRunner, load_object
 from testbed.trajectory import Phase, Trajectory, save_trajectory
-from testbed.trial import Trial, TrialRunner
 from tests.helpers.records import series_of
 from tests.helpers.runner_conformance import (
     RECORD_RULES,

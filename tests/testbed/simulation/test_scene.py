@@ -9,19 +9,13 @@ import pytest
 from dm_control.mujoco.wrapper import MjModel
 from numpy.testing import assert_allclose
 
-from testbed.actions.accelerate import Accelerate
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
+from testbed import OWN_WEIGHT, RIGID, Accelerate, Phase, Rotate, SimulationSettings, Slide, Support, load_object
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import transform_point
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import Motion, arm_model, gripper_tool, joint_path, plan_motion
 from testbed.simulation.scene import HOME, Scene, build_scene
-from testbed.simulation.settings import SimulationSettings
-from testbed.trajectory import Phase
-from testbed.trial import OWN_WEIGHT, RIGID, Support
 
 SETTINGS = SimulationSettings()
 HUNG_BOX = """

@@ -17,17 +17,11 @@ from PIL import ImageGrab
 
 from scenarios.cli.film import grasp_index
 from scenarios.results.trials import read_trial
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
-from testbed.errors import InvalidValueError
-from testbed.objects.files import load_object
+from testbed import InvalidValueError, Rotate, SimulationRunner, Slide, Trial, Weigh, load_object
 from testbed.simulation import feasibility
 from testbed.simulation.rendering import Playback
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.simulation.watch import LiveTrial, Replay
-from testbed.trial import Trial
 from tests.helpers.commands import ended
 from tests.helpers.recorded import put_trial
 

@@ -9,24 +9,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.truth import truth_within_reach
-from testbed.actions.base import Action
-from testbed.actions.rotate import Rotate
-from testbed.actions.slide import Slide
-from testbed.actions.weigh import Weigh
+from testbed import Action, Rotate, SimulationRunner, Slide, Weigh, WorldDraw, draw_sensing, load_object, preset
 from testbed.errors import InvalidValueError
 from testbed.frames import rotation_matrix
-from testbed.objects.files import load_object
 from testbed.objects.model import GRAVITY, ObjectModel
 from testbed.sensing.compensation import compensate
-from testbed.sensing.noise import draw_sensing
-from testbed.sensing.presets import preset
 from testbed.simulation.monitor import ContactRecord
-from testbed.simulation.runner import SimulationRunner
 from testbed.simulation.scene import build_scene
 from testbed.simulation.settings import SimulationSettings
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import OWN_WEIGHT, RIGID, Trial
-from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
 from testbed.worlds.instruments import REACH, mounting, response, true_sensing
 from testbed.worlds.presets import QUANTITIES, SOURCES, UNSTATED, WORLDS, World, stated_setup, world

@@ -61,12 +61,7 @@ def steady_pushes(obj: ObjectModel, centers: Float[np.ndarray, "K 2"], *, second
 
 
 def _record(
-    obj: ObjectModel,
-    action: Push,
-    poses: np.ndarray,
-    twists: np.ndarray,
-    accelerations: np.ndarray,
-    places: np.ndarray,
+    obj: ObjectModel, action: Push, poses: np.ndarray, twists: np.ndarray, accelerations: np.ndarray, places: np.ndarray
 ) -> Trajectory:
     """Record of a motion in contact: poses of the object and its rates, world, and places of the fingertip."""
     count, none, com, spin = len(poses), np.zeros((len(poses), 2)), obj.center_of_mass, twists[:, 2]

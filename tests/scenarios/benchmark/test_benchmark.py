@@ -19,15 +19,7 @@ from scenarios.benchmark.dataset import SAMPLES, STEPS, Benchmark
 from scenarios.benchmark.make import make
 from scenarios.benchmark.problems import KINDS, PUBLISHED_SECRET, SPLITS, Cell, Kind, hidden, redrawn
 from scenarios.benchmark.publish import publish
-from scenarios.benchmark.score import (
-    even_masses,
-    figures,
-    interval_score,
-    judged_row,
-    score,
-    truths,
-    with_masses,
-)
+from scenarios.benchmark.score import even_masses, figures, interval_score, judged_row, score, truths, with_masses
 from scenarios.cli.main import main
 from scenarios.policies import Policy
 from scenarios.results.store import Store, object_request

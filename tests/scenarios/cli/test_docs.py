@@ -18,28 +18,9 @@ import scenarios.cli.main as commands
 import scenarios.results.estimates
 from estimators import METHODS, Estimate, Trace
 from scenarios.cli.main import main
-from scenarios.config import (
-    Grid,
-    Meshes,
-    Policy,
-    Scenario,
-    Simulation,
-    Sweep,
-    Truth,
-    WorldTable,
-    load_scenario,
-)
+from scenarios.config import Grid, Meshes, Policy, Scenario, Simulation, Sweep, Truth, WorldTable, load_scenario
 from scenarios.results.store import Store
-from testbed.importers.columns import (
-    CameraMap,
-    HandMap,
-    JointMap,
-    PartMap,
-    SensorMap,
-    TimeMap,
-    ToolMap,
-    VelocityMap,
-)
+from testbed.importers.columns import CameraMap, HandMap, JointMap, PartMap, SensorMap, TimeMap, ToolMap, VelocityMap
 from testbed.importers.logs import FACTORS
 from testbed.importers.mapping import LogMap, Mapping, PhaseWindow
 from testbed.objects.files import Blocks, HingeTable, Mesh, MeshGrasp, MeshPart, ObjectFile, load_object

@@ -274,8 +274,7 @@ def test_no_method_is_ok_with_masses_that_do_not_explain_the_trials(weighed: Pat
 
 def test_a_method_that_fails_leaves_the_others_their_answers(weighed: Path, capsys: pytest.CaptureFixture[str]):
     (weighed / "broken.py").write_text(
-        "class Broken:\n    def estimate(self, *asked):\n        raise RuntimeError('boom')\n",
-        encoding="utf-8",
+        "class Broken:\n    def estimate(self, *asked):\n        raise RuntimeError('boom')\n", encoding="utf-8"
     )
     assert ended("estimate", "lab", "--methods", "broken:Broken", "hidden_states", "--workers", "0") == 1
     said = capsys.readouterr().out

@@ -199,15 +199,9 @@ def poses(tmp_path_factory: pytest.TempPathFactory) -> list[StaticPose]:
     return recorded_poses(*recorded(tmp_path_factory.mktemp("static")))[0]
 
 
-def in_unit(pose: StaticPose, unit: float) -> StaticPose:
-    """The pose with its torques in another unit [N m]."""
-    scale = np.repeat([1.0, unit], 3)
-    return replace(pose, wrench=scale * pose.wrench, standard_error=scale * pose.standard_error)
-
-
-def in_kgf(pose: StaticPose) -> StaticPose:
-    """The pose with forces in kgf read as N."""
-    scale = np.repeat([1 / 9.80665, 1.0], 3)
+def scaled(pose: StaticPose, force: float, torque: float) -> StaticPose:
+    """The pose with its forces and torques in other units [N, N m]."""
+    scale = np.repeat([force, torque], 3)
     return replace(pose, wrench=scale * pose.wrench, standard_error=scale * pose.standard_error)
 
 
@@ -217,9 +211,12 @@ FAR = r"\d+\.?\d* m from the sensor; allowed: 0\.5 m; .* \(torque_unit\)"
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda pose: in_unit(pose, 1e3), FAR),
-        (lambda pose: in_unit(pose, 1e2), FAR),
-        (in_kgf, r"m from the sensor; allowed: 0\.5 m; is the unit of the force kgf \(force_unit\)"),
+        (lambda pose: scaled(pose, 1.0, 1e3), FAR),
+        (lambda pose: scaled(pose, 1.0, 1e2), FAR),
+        (
+            lambda pose: scaled(pose, 1 / 9.80665, 1.0),
+            r"m from the sensor; allowed: 0\.5 m; is the unit of the force kgf \(force_unit\)",
+        ),
         (lambda pose: replace(pose, hand=np.roll(pose.hand, 1)), "quaternions in another order"),
         (lambda pose: replace(pose, hand=np.roll(pose.hand, -1)), "quaternions in another order"),
         (lambda pose: replace(pose, hand=pose.hand * [1, -1, -1, -1]), "their inverse: of the base in the hand"),

@@ -229,10 +229,7 @@ BLOCKS = 'name = "x"\n[blocks]\nlayout = {layout}\nmass_kg = {mass}\n'
 PART = '[[mesh.parts]]\nname = "p"\nfile = "{file}"\nmass_kg = 1.0\n'
 MESH = f'name = "x"\n[mesh]\ncell_m = 0.01\n{PART}'
 SIZES = [
-    (
-        BLOCKS.format(layout=["1" * 1000] * 1000, mass=1.0),
-        "1000 rows of up to 1000, .*at most 100 rows of 100",
-    ),
+    (BLOCKS.format(layout=["1" * 1000] * 1000, mass=1.0), "1000 rows of up to 1000, .*at most 100 rows of 100"),
     (BLOCKS.format(layout=["11"], mass="1e300"), "1e.300 is larger than 1e.15"),
     (BLOCKS.format(layout=["11"], mass="9" * 5000), "limit"),
     (MESH.format(file="x.stl") + PART.format(file="x.stl") * 100, "at most 64 items"),

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import analytic_trial, drawn_object
-from testbed import GRAVITY, ObjectModel, ObjectShape, Rotate, Slide, Trajectory, steady_windows
+from testbed import GRAVITY, ObjectModel, Rotate, Slide, Trajectory, steady_windows
 from testbed.frames import perpendicular, rotate_wrench, rotation_2d
 from testbed.robot.calibration.motion import check_motion, check_wrenches, wrong_motion
 from testbed.robot.calibration.trial import Finding, check_trial
@@ -47,7 +48,7 @@ def findings(obj: ObjectModel, moves: list[Trajectory], change: np.ndarray) -> l
     return check_trial(lift, change @ COVARIANCE @ change.T, windows, mass=obj.total_mass, center=center)
 
 
-def wrong(findings: list[Finding]) -> dict[str, str]:
+def wrong(findings: Iterable[Finding]) -> dict[str, str]:
     return {f.what: f.text for f in findings if not f.ok}
 
 
@@ -136,7 +137,7 @@ def told_yaw(trial: Trajectory, more: float) -> Trajectory:
 
 
 def wrong_in(trials: list[Trajectory], shape=OBJECT.shape) -> dict[str, str]:
-    return {finding.what: finding.text for finding in check_motion(shape, trials) if not finding.ok}
+    return wrong(check_motion(shape, trials))
 
 
 def test_what_is_told_right_is_right():
@@ -174,43 +175,36 @@ def test_a_setup_that_is_stated_as_exact_is_held_to_it(setup: SetupErrors, found
 def test_a_force_against_the_motion_is_first_a_wrong_sign():
     slide = analytic_trial(OBJECT, Slide(0, 0.3))
     against = replace(slide, wrench_on_object_world=-slide.wrench_on_object_world)
-    assert "off the motion: sign is the other one; else turn" in wrong_in_wrenches(OBJECT.shape, against)["direction"]
+    said = wrong(check_wrenches(OBJECT.shape, [against]))
+    assert "off the motion: sign is the other one; else turn" in said["direction"]
 
 
 def test_links_that_trail_pull_aside_and_nothing_is_wrong():
     chain = drawn_chain(1)
     slide = analytic_links(chain, Slide(0, math.pi / 2, duration=2.5))
-    assert "direction" in wrong_in_wrenches(OBJECT.shape, slide)
-    assert not wrong_in_wrenches(chain.shape, slide)
+    assert "direction" in wrong(check_wrenches(OBJECT.shape, [slide]))
+    assert not wrong(check_wrenches(chain.shape, [slide]))
     assert wrong_motion(chain.shape, [slide]) == []
 
 
-def wrong_in_wrenches(shape: ObjectShape, trial: Trajectory) -> dict[str, str]:
-    return {finding.what: finding.text for finding in check_wrenches(shape, [trial]) if not finding.ok}
+def tcp_beside(trial: Trajectory) -> Trajectory:
+    """The turn as felt by a TCP that is 3 mm and -1 mm beside its place."""
+    angle = trial.object_pose[:, 2] + OBJECT.shape.grasps[turn_of(trial).grasp].angle
+    by = np.einsum("nij,j->ni", rotation_2d(angle), np.array([0.003, -0.001]))
+    velocity = trial.tcp_velocity.copy()
+    velocity[:, :2] += perpendicular(by) * trial.object_velocity[:, 2:]
+    return replace(trial, tcp_velocity=velocity)
 
 
 def test_a_tcp_beside_its_place_is_told_by_how_much():
-    offset, trials = np.array([0.003, -0.001]), []
-    for trial in turns():
-        angle = trial.object_pose[:, 2] + OBJECT.shape.grasps[turn_of(trial).grasp].angle
-        by = np.einsum("nij,j->ni", rotation_2d(angle), offset)
-        velocity = trial.tcp_velocity.copy()
-        velocity[:, :2] += perpendicular(by) * trial.object_velocity[:, 2:]
-        trials.append(replace(trial, tcp_velocity=velocity))
-    found = wrong_in(trials)
+    found = wrong_in([tcp_beside(trial) for trial in turns()])
     assert set(found) == {"TCP"} and "(-3.0, +1.0)" in found["TCP"]
 
 
 def test_stated_errors_of_the_setup_are_allowed_and_the_defaults_are_not():
     """A TCP 3 mm off, and a force 6 deg off the motion, where a setup states as much."""
     stated = SetupErrors(tcp_offset=0.0015, anisotropy=0.05)
-    trials = turns()
-    for at, trial in enumerate(trials):
-        angle = trial.object_pose[:, 2] + OBJECT.shape.grasps[turn_of(trial).grasp].angle
-        by = np.einsum("nij,j->ni", rotation_2d(angle), np.array([0.003, -0.001]))
-        velocity = trial.tcp_velocity.copy()
-        velocity[:, :2] += perpendicular(by) * trial.object_velocity[:, 2:]
-        trials[at] = replace(trial, tcp_velocity=velocity)
+    trials = [tcp_beside(trial) for trial in turns()]
     slide = analytic_trial(OBJECT, Slide(0, 0.3))
     wrench = slide.wrench_on_object_world.copy()
     wrench[:, :2] = wrench[:, :2] @ rotation_2d(np.radians(6.0)).T

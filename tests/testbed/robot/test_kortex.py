@@ -290,11 +290,8 @@ ELSEWHERE = (
 """Faults that are struck in every phase; the others amid twists."""
 
 
-@pytest.fixture(scope="module")
-def untouched() -> Iterator[FakeGen3]:
-    """An arm that no other test has moved."""
-    with FakeGen3(Gen3World(small_object())) as fake:
-        yield fake
+untouched = running
+"""An arm that the tests above have not moved."""
 
 
 CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in ELSEWHERE else PHASES[:1])]

@@ -7,6 +7,7 @@ inertia, is the hinge's own friction. The record ends where a hinge comes to res
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -26,10 +27,11 @@ STANDS = 0.02
 """Turn of a hinge at which the record ends [rad/s]."""
 
 
+@cache
 def analytic_links(
     obj: ObjectModel, action: Rotate | Slide, *, rate: float = RATE, camera_rate: float | None = None
 ) -> Trajectory:
-    """Record of one action on an object in links, on its own weight, from rest of those that trail.
+    """Record of one action on an object in links, on its own weight, from rest of those that trail, computed once.
 
     `camera_rate` is that of the exact camera [Hz], a multiple of `rate`, or None for `rate` itself. An object without
     hinges, or with one that stands from the beginning, is an InvalidValueError.
@@ -62,6 +64,7 @@ def analytic_links(
     return _record(chained, action, solved.t, solved.y.T, each)
 
 
+@cache
 def drawn_chain(seed: int) -> ObjectModel:
     """A bar of two or three links, of one to three blocks each, with random masses and frictions."""
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """Policies: by rank, of stop-and-go lifts, of random pushes, and the next touch from what was felt."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -216,12 +217,18 @@ def run(obj: ObjectModel, chooser: OnlinePolicy, most: int = 12, **world: object
     return trials, chooser.decide(obj.shape, trials)
 
 
+@cache
+def known(seed: int) -> tuple[ObjectModel, OnlinePolicy, list[Trajectory], Decision]:
+    """A drawn object, felt until its masses are known within 2 %."""
+    obj = drawn_object(seed)
+    chooser = policy(obj, Goal(until=0.02))
+    return obj, chooser, *run(obj, chooser, noise=0.05)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_it_touches_until_the_masses_are_known(seed):
-    obj = drawn_object(seed)
-    chooser = policy(obj, Goal(until=0.02))
-    trials, last = run(obj, chooser, noise=0.05)
+    obj, chooser, trials, last = known(seed)
     assert last.why == "the target is met" and last.nad <= 0.02 and 2 <= len(trials) <= 8
     assert last.estimate is not None and off(obj, last.estimate) < 0.04
     nad = [chooser.decide(obj.shape, trials[:n]).nad for n in range(len(trials) + 1)]
@@ -260,14 +267,13 @@ def test_trials_that_contradict_each_other_teach_nothing():
 
 @pytest.mark.slow
 def test_an_answer_is_no_surer_than_it_says_itself():
-    obj, wide = drawn_object(0), 10.0
+    (obj, _, trials, last), wide = known(0), 10.0
 
     class Modest(HiddenStates):
         def estimate(self, shape, weight, trajectories, seed):
             found = super().estimate(shape, weight, trajectories, seed)
             return found if found.covariance is None else replace(found, covariance=wide**2 * found.covariance)
 
-    trials, last = run(obj, policy(obj, Goal(until=0.02)), noise=0.05)
     modest = policy(obj, Goal(until=0.02), estimator=Modest()).decide(obj.shape, trials)
     assert modest.estimate is not None and modest.action is not None
     its_own = claimed(modest.estimate) * obj.shape.particles_per_group

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -348,11 +348,6 @@ def test_what_is_not_seen_is_hatched_and_said():
     assert len(error_figure(L2, np.full(6, np.inf), "nothing").axes) == 1
 
 
-@cache
-def record_of(action: Rotate | Slide) -> Trajectory:
-    return analytic_links(CHAIN, action)
-
-
 def friction_of(obj: ObjectModel) -> np.ndarray:
     return obj.truth.friction[obj.shape.friction_group] * own_weight_loads(obj)
 
@@ -362,7 +357,7 @@ def turned_off(action: Rotate | Slide, step: float) -> float:
     (motion,) = trailing_motions(
         CHAIN.shape, CHAIN.particle_mass, friction_of(CHAIN), [action], step, list(CHAIN.hinge_friction)
     )
-    record = record_of(action)  # which moves at full speed at once
+    record = analytic_links(CHAIN, action)  # which moves at full speed at once
     assert record.camera is not None
     time = np.arange(1, len(motion.turned) + 1) * step - RAMP_TIME / 2
     kept = (time > 1.0) & (time < record.time_s[-1])
@@ -381,7 +376,7 @@ def test_links_trail_as_exact_mechanics_have_it(action: Rotate | Slide):
 
 @slow
 def test_trials_show_what_is_expected_of_them():
-    trials = [record_of(action) for action in DRAGS]
+    trials = [analytic_links(CHAIN, action) for action in DRAGS]
     assumptions = Assumptions(hinge_friction=CHAIN.hinge_friction)
     before = expected(CHAIN.shape, CHAIN.truth, DRAGS, IDEAL, assumptions)
     after = observed(CHAIN.shape, CHAIN.truth, trials)
@@ -426,6 +421,6 @@ def test_a_plan_teaches_more_than_random_drags():
 def test_the_next_touch_counts_on_hinges_as_they_were_estimated():
     guess = Guess(CHAIN.total_mass, IDEAL)
     policy = OnlinePolicy(guess, goal=Goal(most=6), candidates=40)
-    decision = policy.decide(CHAIN.shape, [record_of(action) for action in DRAGS[:2]])
+    decision = policy.decide(CHAIN.shape, [analytic_links(CHAIN, action) for action in DRAGS[:2]])
     assert decision.estimate is not None and decision.estimate.status == "ok"
     assert isinstance(decision.action, (Slide, Rotate))

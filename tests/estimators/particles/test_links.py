@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -76,13 +75,8 @@ def hinges_of(obj: ObjectModel, answer: Estimate) -> list[float]:
     return [answer.diagnostics[f"hinge_{hinge}_Nm"] for hinge in range(len(obj.hinge_friction))]
 
 
-@cache
-def _dragged(obj: ObjectModel, **rates: float) -> tuple[Trajectory, ...]:
-    return tuple(analytic_links(obj, action, **rates) for action in drags(obj))
-
-
 def trials_of(obj: ObjectModel, **rates: float) -> list[Trajectory]:
-    return list(_dragged(obj, **rates))
+    return [analytic_links(obj, action, **rates) for action in drags(obj)]
 
 
 @pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])

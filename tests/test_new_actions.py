@@ -19,11 +19,10 @@ from testbed import ObjectShape, Push, Rotate, SimulationRunner, Trial, faces, l
 from testbed.actions import base
 from testbed.actions.base import Action, ActionWords, TableAction, action_from_dict
 from testbed.actions.path import Steady
-from testbed.exporters.ros2 import mapping_text, write_mcap
-from testbed.importers.importer import import_trajectory
 from testbed.sensing.push_windows import window_samples
 from testbed.simulation.rendering import body_poses
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
+from tests.fakes.lab_bench import through_mcap
 from tests.fakes.robot import robot_for
 from tests.helpers.chunks import read_chunks, verify
 from viz.figures.trials import trials_figure
@@ -117,9 +116,7 @@ def test_it_is_simulated_along_its_path_and_stored(kind, tmp_path):
 def test_it_is_exported_and_imported(kind, tmp_path):
     pytest.importorskip("rosbags", reason="needs the extra robot")
     given = simulated(kind)
-    write_mcap(given, tmp_path / "trial.mcap")
-    (tmp_path / "trial.toml").write_text(mapping_text(given, L2.shape, "L2", "trial.mcap"), encoding="utf-8")
-    back = import_trajectory(tmp_path / "trial.mcap", tmp_path / "trial.toml")
+    back = through_mcap(given, "L2", tmp_path)
     assert back.action == given.action
     for one, other in zip(window_samples(back), window_samples(given), strict=True):
         assert_allclose(back.wrench_on_object_world[one], given.wrench_on_object_world[other], atol=1e-6)

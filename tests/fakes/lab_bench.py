@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from testbed import HeftError, Phase, Trajectory
+from testbed import HeftError, Phase, Trajectory, load_object
 from testbed.actions.path import minimum_jerk
+from testbed.exporters.ros2 import mapping_text, write_mcap
 from testbed.importers.importer import import_trajectory
 from testbed.toml import toml_text
 from tests.helpers.records import series_of
@@ -23,6 +24,14 @@ TABLE = 0.033
 """Height of its table in its arm's base frame, m."""
 EPOCH = 1_767_225_600.0
 """Time of its clock at the begin of the log [s]."""
+
+
+def through_mcap(t: Trajectory, name: str, folder: Path) -> Trajectory:
+    """A trial of an object, by its name or path, as it is after its export and import."""
+    write_mcap(t, folder / "trial.mcap")
+    text = mapping_text(t, load_object(name).shape, name, "trial.mcap")
+    (folder / "trial.toml").write_text(text, encoding="utf-8")
+    return import_trajectory(folder / "trial.mcap", folder / "trial.toml")
 
 
 def columns(t: Trajectory) -> dict[str, np.ndarray]:

@@ -33,9 +33,9 @@ from testbed.objects.random import Family
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from tests.helpers.changes import resealed
 from tests.helpers.commands import refusal
-from tests.helpers.recorded import put_trial
 from tests.helpers.records import record
 from tests.helpers.runs import resumed
+from tests.helpers.simulated import put_trial
 from viz.recordings.page import SIM_TIME, Page, save
 
 SLIDE = Slide(0, duration=0.2)

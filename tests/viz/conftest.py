@@ -7,7 +7,7 @@ import pytest
 from scenarios import Scenario, run_scenario
 from scenarios.results.files import write_json
 from testbed import Rotate, Weigh
-from tests.helpers.recorded import put_trial
+from tests.helpers.simulated import put_trial
 
 SMALL = {
     "objects": ["I2"],

@@ -26,8 +26,8 @@ from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajecto
 from tests.fakes.analytic_links import analytic_links
 from tests.fakes.analytic_push import analytic_pushes
 from tests.helpers.chunks import Entity, logged
-from tests.helpers.recorded import put_trial
 from tests.helpers.rows import row
+from tests.helpers.simulated import put_trial
 from viz.figures.trials import trials_figure
 from viz.recordings.page import SIM_TIME, Page, save
 from viz.recordings.trial import FOOT_ARROW, WRENCH, log_trial, trial_blueprint

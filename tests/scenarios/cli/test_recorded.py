@@ -27,7 +27,7 @@ from testbed.sensing.compensation import compensate
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from tests.fakes.lab_bench import mapping_of, tared_again, write_csv, write_toml
 from tests.helpers.commands import ended, refusal
-from tests.helpers.recorded import put_trial
+from tests.helpers.simulated import put_trial
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,7 @@ from testbed.simulation.rendering import Playback
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.helpers.blocks import blocks
-from tests.helpers.recorded import put_trial
+from tests.helpers.simulated import put_trial
 from viz.recordings.page import save
 
 RUNNER = SimulationRunner()

@@ -8,13 +8,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
-from testbed import InvalidValueError, Lift, Push, Rotate, SetupErrors, Trajectory, draw_sensing, load_object, preset
+from testbed import InvalidValueError, Lift, Push, Rotate, SetupErrors, Trajectory, draw_sensing, preset
 from testbed.exporters.ros2 import JOINTS, mapping_text, write_mcap
 from testbed.frames import rotation_matrix
-from testbed.importers.importer import import_trajectory
 from testbed.importers.messages import open_messages
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.push_windows import push_windows
+from tests.fakes.lab_bench import through_mcap
 from tests.helpers.simulated import clean
 
 pytest.importorskip("rosbags", reason="needs the extra robot")
@@ -38,17 +38,10 @@ def measured(index: int) -> Trajectory:
     return replace(whole, joint_position=joints, setup=SetupErrors(gain=0.01, tcp_offset=0.001), provenance=recorded)
 
 
-def exported(trajectory: Trajectory, folder: Path) -> Path:
-    write_mcap(trajectory, folder / "turn.mcap")
-    text = mapping_text(trajectory, BLOCK.model.shape, "L2", "turn.mcap")
-    (folder / "turn.toml").write_text(text, encoding="utf-8")
-    return folder / "turn.mcap"
-
-
 @pytest.mark.parametrize("index", [pytest.param(0, marks=pytest.mark.slow), -1], ids=["accelerate", "rotate"])
 def test_what_is_imported_is_what_was_measured(tmp_path: Path, index: int):
     given = measured(index)
-    back = import_trajectory(exported(given, tmp_path), tmp_path / "turn.toml")
+    back = through_mcap(given, "L2", tmp_path)
     for name in ("time_s", "phase", "segment", "sensor_wrench", "tcp_position", "tcp_velocity", "joint_position"):
         assert np.array_equal(getattr(back, name), getattr(given, name)), name
     # quaternions are made units, and the rest follows from what is above
@@ -70,10 +63,7 @@ def test_what_a_camera_saw_comes_back(tmp_path: Path, kind: str):
     name = "L2" if kind == "push" else str(folded)
     action = Push((-0.05, 0.01), 0.0, speed=0.05, length=0.06) if kind == "push" else Rotate(0, duration=2.5)
     given = draw_sensing(clean(name, action), preset("ft300s"), 1)
-    write_mcap(given, tmp_path / "trial.mcap")
-    text = mapping_text(given, load_object(name).shape, name, "trial.mcap")
-    (tmp_path / "trial.toml").write_text(text, encoding="utf-8")
-    back = import_trajectory(tmp_path / "trial.mcap", tmp_path / "trial.toml")
+    back = through_mcap(given, name, tmp_path)
     assert back.action == given.action
     read = push_windows if kind == "push" else link_windows
     assert len(read(back)) == len(read(given))
@@ -88,7 +78,7 @@ def test_the_file_holds_every_number_of_samples_at_any_time(tmp_path: Path):
     turn = measured(0)
     time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, len(turn.time_s)))
     given = replace(turn, time_s=time - time[0])
-    path = exported(given, tmp_path)
+    write_mcap(given, path := tmp_path / "turn.mcap")
     log = open_messages(path)
     for topic, (series, names) in FIELDS.items():
         assert np.array_equal(log.values("", names, topic, log.messages(topic)), getattr(given, series)), topic

@@ -28,7 +28,7 @@ from testbed.frames import transform_point
 from testbed.objects.colors import group_rgba
 from testbed.simulation.rendering import FIELD_OF_VIEW, MARGIN, VIEWS, Playback, bodies_named, camera, hide, object_pose
 from tests.helpers.commands import ended
-from tests.helpers.recorded import put_trial
+from tests.helpers.simulated import put_trial
 
 ROOT = Path(__file__).parents[3]
 SIZE = (240, 160)

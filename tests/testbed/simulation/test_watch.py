@@ -23,7 +23,7 @@ from testbed.simulation.rendering import Playback
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.simulation.watch import LiveTrial, Replay
 from tests.helpers.commands import ended
-from tests.helpers.recorded import put_trial
+from tests.helpers.simulated import put_trial
 
 ROOT = Path(__file__).parents[3]
 NO_ACTION = np.zeros(0)

@@ -110,4 +110,5 @@ def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"
     count, walked = len(windows), walk(torch.tensor(np.array([w.since_tare for w in windows]))).numpy()
     covariance = np.kron(np.ones((count, count)), windows[0].bias_covariance)
     covariance += np.kron(walked, windows[0].drift_covariance)
-    return covariance + block_diag(*(window.covariance for window in windows))
+    covariance += np.asarray(block_diag(*(window.covariance for window in windows)))
+    return covariance

@@ -71,8 +71,8 @@ def doctor(
         if not isinstance(found, str):
             if found.named or not found.misfit.by_chance:
                 console.print(_table(found))
-            worst = sorted(found.trials, key=lambda trial: -found.trials[trial])[:3]
-            least = "; ".join(f"{trials[k]} ({found.trials[k]:.2g})" for k in worst)
+            worst = sorted(found.trials.items(), key=lambda each: -each[1])[:3]
+            least = "; ".join(f"{trials[k]} ({misfit:.2g})" for k, misfit in worst)
             console.print(f"trials that fit least: {least}")
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))

@@ -222,7 +222,7 @@ class LiftProfile:
             np.full(len(h), number if steady else -1) for (h, _, steady), number in zip(parts, numbers, strict=True)
         ]
         heights, turns = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts], axis=1)
-        return cls(heights[:, 0], heights[:, 1], *turns, np.concatenate(segment))
+        return cls(heights[:, 0], heights[:, 1], turns[0], turns[1], turns[2], np.concatenate(segment))
 
 
 def _swings(

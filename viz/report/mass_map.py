@@ -45,8 +45,8 @@ def mass_map(answer: Answer) -> Text:
             if group < 0:
                 text.append(letter)
                 continue
-            ground = to_hex(grounds[group] / 255)
-            front = to_hex(text_color(grounds[group]) / 255) if written[row, column] else ground
+            ground = to_hex(tuple(grounds[group] / 255))
+            front = to_hex(tuple(text_color(grounds[group]) / 255)) if written[row, column] else ground
             text.append(letter, f"{front} on {ground}")
         text.append("\n")
     return text

@@ -77,11 +77,6 @@ class RawRecord:
         with suppress(OSError):
             self._file.close()
 
-    def discard(self) -> None:
-        """Remove it: nothing has moved."""
-        self._file.close()
-        self.path.unlink(missing_ok=True)
-
     def _write(self, text: str) -> None:
         try:
             self._file.write(text)

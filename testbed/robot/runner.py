@@ -135,13 +135,10 @@ class RealRunner:
         if camera is not None:
             x, y, yaw = plan.object_pose.tolist()
             check_place(seen_place(camera, self._clock, trial).read(), (x, y, yaw))
+        if not (self._confirmed or self._confirm(described(plan, self._settings))):
+            raise RobotError("the motion was not confirmed; nothing has moved")
         raw = None if self._raw is None else RawRecord(self._raw)
-        if not self._confirmed:
-            self._confirmed = self._confirm(described(plan, self._settings))
-            if not self._confirmed:
-                if raw is not None:
-                    raw.discard()
-                raise RobotError("the motion was not confirmed; nothing has moved")
+        self._confirmed = True
         if raw is None:
             return self._run(plan, None, camera)
         ended = "interrupted", ""

@@ -1,6 +1,7 @@
 """Whole trials on a fake robot in simulated time, the plans of their paths, and records that are no data."""
 
 import math
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -150,6 +151,15 @@ def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
     assert len(shown) == 2
     for part in ("down to the object", "the action", "turned by", "17.2 deg/s", "x: 0.4", "allowed 0.250 to 0.650 m"):
         assert part in shown[0]
+
+
+def test_a_motion_that_is_not_confirmed_leaves_no_record(tmp_path):
+    trial, answers = Trial(OBJECT, ACTION), iter([lambda: False, lambda: signal.raise_signal(signal.SIGINT)])
+    _, runner = robot_for(trial, confirm=lambda _: next(answers)(), raw=tmp_path)
+    for error in (RobotError, KeyboardInterrupt):
+        with runner, pytest.raises(error):
+            runner.run(trial)
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,15 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
         raise InvalidFileError(f"{path}: cannot be read as TOML: nested deeper than {MOST_DEPTH}") from None
     except ValueError as error:  # UnicodeDecodeError and TOMLDecodeError too
         raise InvalidFileError(f"{path}: cannot be read as TOML: {short(error, str)}") from None
+    return fitted(path, data, model)
+
+
+def fitted(path: Path, data: Any, model: type[FileModel]) -> FileModel:
+    """Content of a file as its pydantic model.
+
+    Raises:
+        InvalidFileError: it does not fit; the message has a line for each error.
+    """
     if lines := [f"{path}: {line}" for line in _beyond_a_bench(data)]:
         raise InvalidFileError("\n".join(lines[:MOST_LINES]))
     try:

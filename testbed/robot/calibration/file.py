@@ -14,7 +14,7 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
-from testbed.toml import Finite, NonNegative, Positive, load_toml, toml_text
+from testbed.toml import Finite, NonNegative, Positive, fitted, load_toml, toml_text
 
 _THREE, _SIX = Field(min_length=3, max_length=3), Field(min_length=6, max_length=6)
 Vector = Annotated[list[Finite], _THREE]
@@ -94,7 +94,11 @@ class HandEyeFile(BaseModel):
 
 
 def save_calibration(path: Path, calibration: Calibration, sensor: str, made: str) -> None:
-    """Write a sensor's calibration, whole or not at all; `sensor`: its serial number, `made`: date."""
+    """Write a sensor's calibration, whole or not at all; `sensor`: its serial number, `made`: date.
+
+    Raises:
+        InvalidFileError: values that `load_calibration` refuses; a line for each error.
+    """
     c = calibration
     scaled = c.gain_std.any() or (c.gain != 1).any()
     fields = {
@@ -117,6 +121,7 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
         **({"bias_walk": c.bias_walk.tolist()} if c.bias_walk.any() else {}),
         **({"gravity": c.gravity} if c.gravity != GRAVITY else {}),
     }
+    fitted(path, fields, CalibrationFile)
     write_text(path, toml_text(fields))
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -244,6 +245,14 @@ def test_a_damaged_file_is_refused(tmp_path: Path, old: str, new: str, field: st
     path.write_text(text.replace(old, new))
     with pytest.raises(InvalidFileError, match=field):
         load_calibration(path)
+
+
+@pytest.mark.parametrize(("change", "field"), [({"mass": 12.0}, "tool_mass_kg"), ({"gain": np.full(6, 3.0)}, "gain")])
+def test_a_calibration_that_no_file_brings_back_is_not_written(tmp_path: Path, change: dict[str, Any], field: str):
+    path = tmp_path / "mount.toml"
+    with pytest.raises(InvalidFileError, match=rf"mount\.toml: {field}"):
+        save_calibration(path, replace(calibrate(readings(DOWN)), **change), "1", "today")
+    assert not path.exists()
 
 
 TURN, PLACE = Rotation.from_euler("xyz", [170, 5, 40], degrees=True), np.array([0.5, -0.2, 1.1])

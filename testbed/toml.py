@@ -194,7 +194,7 @@ def _fields(table: Mapping[str, Any]) -> list[str]:
 
 
 def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isascii() and name.isidentifier() else json.dumps(name)
+    return name if name.replace("_", "").replace("-", "").isascii() and name.isidentifier() else _quoted(name)
 
 
 def _value(value: Any) -> str:
@@ -204,4 +204,8 @@ def _value(value: Any) -> str:
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, float):
         return float.__repr__(value)  # infinite as TOML has it, not as JSON
-    return json.dumps(value, ensure_ascii=False)
+    return _quoted(value)
+
+
+def _quoted(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # raw in JSON, refused by TOML

@@ -185,13 +185,15 @@ class CameraTable(Strict):
     delay_s: Annotated[list[Annotated[float, Range(0, 1, "s")]], Field(min_length=2, max_length=2)] = list(_SEEN.delay)
     """Least and greatest time by which its stamps are late."""
 
+    @model_validator(mode="after")
+    def _least_delay_first(self) -> Self:
+        if self.delay_s[0] > self.delay_s[1]:
+            raise InvalidValueError("delay_s", self.delay_s, "two times, the least first, s")
+        return self
+
     @property
     def errors(self) -> Camera:
-        """Errors as stated.
-
-        Raises:
-            InvalidValueError: the greatest delay comes first.
-        """
+        """Errors as stated."""
         least, most = self.delay_s
         angle = math.radians(self.angle_std_deg)
         return Camera(self.model or "none", position=self.position_std_m, angle=angle, delay=(least, most))

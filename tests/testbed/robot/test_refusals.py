@@ -167,9 +167,13 @@ def test_a_device_of_the_file_is_refused_at_load(tmp_path, text, refusal):
 
 def test_a_number_of_the_files_own_tables_is_no_bool_and_no_text(tmp_path):
     with pytest.raises(InvalidFileError) as refused:
-        robot_file(tmp_path, '[limits]\nspeed_m_s = true\nforce_N = "60"\n[arm]\nport = true\n')
+        robot_file(
+            tmp_path,
+            '[limits]\nspeed_m_s = true\nforce_N = "60"\n[arm]\nport = true\n[camera]\ndelay_s = [0.05, 0.01]\n',
+        )
     assert [line.partition("robot.toml: ")[2] for line in str(refused.value).splitlines()] == [
         "arm.port: got True; allowed: an integer from 1 to 65535",
+        "camera.delay_s: got [0.05, 0.01]; allowed: two times, the least first, s",
         "limits.speed_m_s: got True; allowed: 0.002 to 0.5 m/s",
         "limits.force_N: got '60'; allowed: 1 to 300 N",
     ]

@@ -251,14 +251,14 @@ def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) 
 def described(plan: RobotPlan, settings: RobotSettings) -> str:
     """The motion in words, a line per leg: places, speeds, times, and the path's distance from its limits."""
     x, y, yaw = plan.object_pose
-    turned = math.degrees(math.remainder(yaw, math.tau)) + 0.0  # no minus before a zero
+    turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
     action, shape = plan.trial.action, plan.trial.object.shape
     point = ", ".join(f"{1e3 * v:.0f}" for v in action.hand(shape)[0]) if plan.grasp is None else ""
     where = plan.grasp.name if plan.grasp is not None else f"({point}) mm with closed fingers"
     lines = [
         f"{action.kind} of {plan.trial.object.name} at {where}, {plan.duration(settings):.0f} s",
-        f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:.1f} deg, base frame of the arm",
+        f"object: its middle at ({x:.3f}, {y:.3f}) m, turned by {turned:z.1f} deg, base frame of the arm",
         f"travel: to ({place}) m, at most {settings.travel_speed:.2f} m/s; zeroed there for {settings.tare_time:g} s",
     ]
     if (tip := action.fingertip(shape)) is not None:

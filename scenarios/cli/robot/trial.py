@@ -243,8 +243,8 @@ def _place(planned: Trial, at: tuple[float, float, float] | None) -> KnownPose:
         return KnownPose(at[0], at[1], math.radians(at[2]))
     SimulationRunner().check(planned)
     x, y, yaw = (float(v) for v in starting_pose(planned))
-    degrees = math.degrees(math.remainder(yaw, math.tau)) + 0.0  # no minus before a zero
-    print(f"put the object with its middle at ({x:.3f}, {y:.3f}) m, turned by {degrees:.1f} deg, base frame")
+    degrees = math.degrees(math.remainder(yaw, math.tau))
+    print(f"put the object with its middle at ({x:.3f}, {y:.3f}) m, turned by {degrees:z.1f} deg, base frame")
     return KnownPose(x, y, yaw)
 
 

@@ -130,7 +130,9 @@ def test_what_no_camera_sees_or_elsewhere_is_refused_before_anything_moves():
 def test_a_plan_of_a_push_says_what_the_fingers_need():
     settings = RobotSettings(data_sheet(0.0))
     trial = Trial(OBJECT, PUSH)
-    said = described(plan_trial(trial, starting_pose(trial), settings), settings)
+    pose = np.append(starting_pose(trial)[:2], -5e-4)
+    said = described(plan_trial(trial, pose, settings), settings)
+    assert "turned by 0.0 deg" in said
     assert "push of two at (50, -10) mm with closed fingers" in said
     assert "of radius 6 mm, has its middle 14.0 mm below" in said
     with pytest.raises(InfeasibleTrialError, match="point of the outline"):

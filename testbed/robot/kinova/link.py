@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -63,7 +62,7 @@ class KortexLink:
         self._greeting: dict[str, Any] | None = None
         self._quiet = configuration.quiet
         self._beat, self._trouble, self._ended = -math.inf, "", False  # of the stand-by
-        self._stderr: deque[str] = deque(maxlen=_LAST_WORDS)
+        self._stderr: tuple[str, ...] = ()  # replaced, never changed: other threads read it
         beats, beating = os.pipe()
         try:
             self._process = self._started("serve", beating)
@@ -236,7 +235,8 @@ class KortexLink:
 
     def _read_errors(self) -> None:
         assert self._process.stderr is not None
-        self._stderr.extend(text.strip() for text in self._process.stderr if text.strip())
+        for text in filter(None, map(str.strip, self._process.stderr)):
+            self._stderr = (*self._stderr, text)[-_LAST_WORDS:]
 
 
 def _write(process: subprocess.Popen[str], message: dict[str, Any]) -> None:

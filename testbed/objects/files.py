@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from testbed.errors import InvalidValueError
 from testbed.files import find_file, library_names
 from testbed.objects.blocks import block_object, parse_layout
+from testbed.objects.bodies import boxes_of
 from testbed.objects.chain import MOST_LINKS, Chain
 from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
@@ -195,6 +197,7 @@ class ObjectFile(_Table):
             model = self._build_mesh(grid, folder)
         if model.shape.chain is not None:
             self._check_joined(model.shape, model.shape.chain)
+        self._check_names(model)
         friction = tuple(hinge.friction_Nm for hinge in self.hinges)
         return replace(model, hinge_friction=friction, masses_known=self.has_masses)
 
@@ -240,6 +243,15 @@ class ObjectFile(_Table):
                     joins = "hinges go along the chain: the first from the blocks or parts that none names"
                     allowed = f"a place at both its links; {names} is {away * 1e3:.0f} mm away, and {joins}"
                     raise InvalidValueError(f"hinges.{index}.at_m", self.hinges[index].at_m, allowed)
+
+    def _check_names(self, model: ObjectModel) -> None:
+        """Refuse a name that a simulator would have twice."""
+        links = [f"link_{index}" for index in range(len(self.hinges) + 1)] if self.hinges else []
+        count = Counter([self.name, *links, *(box.name for box in boxes_of(model.shape, model.truth))])
+        twice = {name for name in count if count[name] > 1} | (set(links) & set(model.shape.group_names))
+        if twice:
+            allowed = "names of object and parts that differ, also from cells (part_0, ...) and links (link_0, ...)"
+            raise InvalidValueError("name", sorted(twice), allowed)
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:
         assert self.mesh is not None

@@ -141,6 +141,7 @@ def test_a_grid_that_is_no_count_is_refused(grid: object):
 PARTS = '[[mesh.parts]]\nname = "head"\nfile = "hammer_head.stl"\nmass_kg = 1.2\n'
 GRASP = '[[mesh.grasps]]\nname = "middle"\nat_m = [0.02, 0.0]\nclosing_deg = 0\n'
 MESH_FILE = 'name = "X"\n[mesh]\ncell_m = 0.01\n' + PARTS + GRASP
+HINGED = PAIR + "mass_kg = 1\n[[hinges]]\nat_m = [0.0, 0.0]\nlink = ['B1']\n"
 
 
 def test_a_mesh_file_with_defaults(written):
@@ -193,6 +194,9 @@ WRONG_MESHES = [
     [
         *(((HEAD if "layout" in line else PAIR) + line, f"blocks.{said}") for line, said in WRONG_BLOCKS),
         *((f'name = "X"\n[mesh]\n{mesh}{rest}', said) for mesh, rest, said in WRONG_MESHES),
+        (PAIR.replace("X", "B1") + "mass_kg = 1", "name: got ['B1']; allowed: names of object and parts that differ"),
+        (HINGED.replace("X", "link_1"), "name: got ['link_1']"),
+        (MESH_FILE.replace("X", "head_0"), "name: got ['head_0']"),
     ],
 )
 def test_a_wrong_field_is_refused_with_file_field_and_value(written, text: str, said: str):

@@ -71,7 +71,7 @@ def wrench_delay(
     """
     motion, rate = _regressors(position, hand)
     turning = np.flatnonzero(np.abs(rate) > _TURNING * np.abs(rate).max())
-    inside = np.arange(turning[0] + _END, turning[-1] - _END)
+    inside = np.arange(turning[0] + _END, turning[-1] - _END) if len(turning) else turning
     inside = inside[(inside > LONGEST_DELAY * RATE) & (inside < len(time) - LONGEST_DELAY * RATE)]
     if len(inside) < RATE:
         raise LogError(f"delay: the turn accelerates for {len(inside) / RATE:.1f} s; allowed: 1 s or more")

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from testbed import Accelerate, HeftError, InvalidValueError, Phase, Trajectory, draw_sensing, preset
-from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay
+from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay, wrench_delay
 from testbed.importers.importer import delay_of, import_trajectory
 from testbed.importers.logs import FACTORS, LogError, Series, factor
 from testbed.importers.phases import common_base, resampled, resampled_rotation
@@ -61,6 +61,11 @@ def test_a_delay_is_found_and_taken_off(turns: list[Trajectory], tmp_path: Path,
     there = interpolated(again.time_s, turns[0].time_s, turns[0].sensor_wrench)
     off = np.sqrt(np.mean((again.sensor_wrench - there)[turned][:, 5] ** 2))
     assert off < 0.2 * np.std(there[turned][:, 5])
+
+
+def test_a_hand_that_never_turns_shows_no_delay():
+    with pytest.raises(LogError, match=r"the turn accelerates for 0\.0 s; allowed: 1 s or more"):
+        wrench_delay(np.zeros(500), np.zeros((500, 3)), Rotation.identity(500), np.arange(500) / 100)
 
 
 def test_a_delay_can_be_given(turns: list[Trajectory], tmp_path: Path):

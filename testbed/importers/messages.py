@@ -73,7 +73,7 @@ class MessageLog:
         if topic not in self._topics:
             joints = self.types[topic] == JOINT_STATE
             found = self._read(topic)
-            self._topics[topic] = [m._replace(text=_by_name(m.content)) for m in found] if joints else found
+            self._topics[topic] = [m._replace(text=self._by_name(topic, m.content)) for m in found] if joints else found
         return self._topics[topic]
 
     def series(self, field: str, names: Sequence[Cell], topic: str | None, time: TimeMap) -> Series:
@@ -95,14 +95,29 @@ class MessageLog:
         return values
 
     def _number(self, field: str, name: str, content: Any, topic: str, index: int) -> float:
-        try:
-            value = _at(content, name)
-        except _NOT_THERE:
-            raise unknown(field, name, sorted(dict(_leaves(content))), self.path) from None
+        value = self.part(field, name, content)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
             given = f"topic {topic}, message {index}: {name}: got {short(value)}"
             raise LogError(f"{self.path}: {given}; allowed: a number")
         return value
+
+    def _by_name(self, topic: str, content: Any) -> bytes:
+        """Joint states by the joints' names, whose order may change."""
+        of = partial(self.part, f"topic {topic}", content=content)
+        names, kinds = [str(name) for name in of("name")], ("position", "velocity", "effort")
+        by_name = {kind: dict(zip(names, of(kind), strict=False)) for kind in kinds}
+        return json.dumps({"header": of("header"), **by_name}).encode()
+
+    def part(self, field: str, name: str, content: Any) -> Any:
+        """A part of a message's content by dotted path.
+
+        Raises:
+            InvalidValueError: it is not there; the message names the nearest.
+        """
+        try:
+            return _at(content, name)
+        except _NOT_THERE:
+            raise unknown(field, name, sorted(dict(_leaves(content))), self.path) from None
 
     def stamps(self, topic: str, messages: Sequence[Message], time: TimeMap) -> np.ndarray:
         """Times of messages [s], from the log's epoch, exact to the nanosecond, or by a field of numbers."""
@@ -142,22 +157,9 @@ def open_messages(path: Path) -> MessageLog:
     return MessageLog(path, {topic: kind for topic, (kind, _) in topics.items()}, read)
 
 
-def _by_name(content: Any) -> bytes:
-    """Joint states by the joints' names, whose order may change."""
-    names = [str(name) for name in inside(content, "name")]
-    kinds = ("position", "velocity", "effort")
-    by_name = {kind: dict(zip(names, inside(content, kind), strict=False)) for kind in kinds}
-    return json.dumps({"header": inside(content, "header"), **by_name}).encode()
-
-
-def inside(value: Any, part: str) -> Any:
-    """A field of a message by name, or an item by number."""
-    return value[part] if isinstance(value, dict) else value[int(part)]
-
-
 def _at(content: Any, path: str) -> Any:
     for part in path.split("."):
-        content = inside(content, part)
+        content = content[part] if isinstance(content, dict) else content[int(part)]
     return content
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from testbed.errors import InvalidValueError
 from testbed.importers.columns import CameraMap, Cell, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
-from testbed.importers.messages import JOINT_STATE, Message, MessageLog, inside
+from testbed.importers.messages import JOINT_STATE, Message, MessageLog
 from testbed.importers.tables import TableLog
 from testbed.importers.urdf import forward_kinematics, joints_to
 from testbed.sensing.series import interpolated, runs
@@ -190,6 +190,10 @@ def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:
     stamps = moving[0].time_s
     begin, end = max(e.time_s[0] for e in moving), min(e.time_s[-1] for e in moving)
     stamps = stamps[(stamps >= begin) & (stamps <= end)]
+    if len(stamps) < 2:
+        spans = [(name, edges[name].time_s) for name in passed if len(edges[name].time_s) > 1]
+        given = ", ".join(f"{name} at {one[0]:.2f} to {one[-1]:.2f} s" for name, one in spans)
+        raise LogError(f"{log.path}: {field}.frame: {given}; allowed: frames whose stamps share a stretch of time")
     position, rotation = np.zeros((len(stamps), 3)), Rotation.identity(len(stamps))
     for edge in chain:
         offset, turn = edge.at(stamps)
@@ -203,8 +207,12 @@ def _edges(log: MessageLog, field: str, topic: str, time: TimeMap) -> dict[str, 
     for name in (f"{topic}_static", topic):
         by_child: dict[str, list[Message]] = {}
         for message in log.messages(name) if name in log.types else []:
-            for transform in inside(message.content, "transforms"):
-                child = str(inside(transform, "child_frame_id"))
+            transforms = log.part(f"{field}.topic {name}", "transforms", message.content)
+            if not isinstance(transforms, list):
+                allowed = "a list of transforms in every message"
+                raise InvalidValueError(f"{field}.topic {name}", transforms, allowed, file=log.path)
+            for transform in transforms:
+                child = str(log.part(f"{field}.topic {name}", "child_frame_id", transform))
                 by_child.setdefault(child, []).append(message._replace(text=json.dumps(transform).encode()))
         for child, messages in by_child.items():
             kept = messages[-1:] if name != topic else messages
@@ -212,7 +220,7 @@ def _edges(log: MessageLog, field: str, topic: str, time: TimeMap) -> dict[str, 
             stamps, values = np.zeros(1), log.values(f"{field}.frame {child}", names, name, kept)
             if len(kept) > 1:
                 stamps, values = in_order(log.path, f"{field}.frame {child}", log.stamps(name, kept, time), values)
-            parent = str(inside(inside(kept[-1].content, "header"), "frame_id"))
+            parent = str(log.part(f"{field}.frame {child}", "header.frame_id", kept[-1].content))
             edges[child] = _Edge(parent, stamps, values[:, :3], _quaternions(f"{field}.frame {child}", values[:, 3:]))
     return edges
 

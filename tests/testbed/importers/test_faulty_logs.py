@@ -1,6 +1,7 @@
 """Logs with values that look like data and are none, and tables in the ways that people save them."""
 
 import gzip
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,11 @@ from numpy.testing import assert_allclose
 
 from estimators.testing.recorded import load_block
 from testbed import HeftError, Phase, Trajectory, steady_windows
+from testbed.importers.columns import HandMap, TimeMap
 from testbed.importers.logs import LogError, Series
+from testbed.importers.messages import JOINT_STATE, Message, MessageLog
 from testbed.importers.phases import MOST_LEFT_OUT, without_faults
+from testbed.importers.poses import hand_pose
 from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import CalibrationError, StaticPose, calibrate
 from tests.fakes.lab_bench import imported, mapping_of, write_csv
@@ -173,6 +177,38 @@ def changed(folder: Path, change) -> tuple[Path, Path]:
     table = pd.read_csv(log)
     change(table).to_csv(log, index=False)
     return log, mapping
+
+
+def moved(parent: str, child: str, second: int) -> dict[str, object]:
+    place, turn = dict.fromkeys("xyz", 0.001 * second), {"x": 0, "y": 0, "z": 0, "w": 1}
+    header = {"stamp": {"sec": second, "nanosec": 0}, "frame_id": parent}
+    return {"header": header, "child_frame_id": child, "transform": {"translation": place, "rotation": turn}}
+
+
+APART = [*(moved("map", "base", s) for s in (0, 1)), *(moved("base", "tcp", s) for s in (10, 11))]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"transforms": APART}, r"hand\.frame: tcp at 10.00 to 11.00 s, base at 0.00 to 1.00 s; allowed: frames whose"),
+        ({"transform": APART}, r"hand\.topic /tf: got 'transforms'; allowed: one of "),
+        ({"transforms": None}, r"hand\.topic /tf: got None; allowed: a list of transforms"),
+        ({"transforms": [{"child": "tcp"}]}, r"hand\.topic /tf: got 'child_frame_id'; allowed: one of child"),
+    ],
+)
+def test_a_tree_that_gives_no_pose_says_why(content: dict[str, object], said: str):
+    log = MessageLog(
+        Path("log.mcap"), {"/tf": "tf2_msgs/msg/TFMessage"}, lambda _: [Message(0, 0, json.dumps(content).encode())]
+    )
+    with pytest.raises(HeftError, match=rf"log\.mcap: {said}"):
+        hand_pose(log, HandMap(topic="/tf", frame="tcp"), TimeMap(), Path())
+
+
+def test_a_joint_state_without_names_says_so():
+    log = MessageLog(Path("log.mcap"), {"/joints": JOINT_STATE}, lambda _: [Message(0, 0, b'{"position": [0.1]}')])
+    with pytest.raises(HeftError, match="topic /joints: got 'name'; allowed: one of position"):
+        log.messages("/joints")
 
 
 def test_lost_frames_do_not_count_in_a_calibration(tmp_path: Path):

@@ -141,4 +141,4 @@ def preset(name: str, field: str = "sensing") -> Sensing:
     try:
         return replace(stated, name=name, camera=CAMERAS[camera], true_bias=float(bias), true_drift=float(drift))
     except ValueError:
-        raise InvalidValueError("sensing", name, "a number of each factor, as ft300s:bias=2:drift=0.5") from None
+        raise InvalidValueError(field, name, "a number of each factor, as ft300s:bias=2:drift=0.5") from None

@@ -105,8 +105,8 @@ def test_a_sensor_may_be_worse_than_its_data_sheet_states():
         assert np.array_equal(getattr(one, name), getattr(other, name))
     assert worse.stated == stated != worse
     for wrong in ("ft300s:bias=", "ft300s:bias=1.2.3", "ft300s:noise=2", ":bias=2"):
-        with pytest.raises(InvalidValueError, match="sensing"):
-            preset(wrong)
+        with pytest.raises(InvalidValueError, match=r"^guess\.sensing: got"):
+            preset(wrong, field="guess.sensing")
 
 
 def test_an_unknown_preset_lists_the_presets():

@@ -76,7 +76,8 @@ class Lift(Action, kind="lift"):
         The stops show M and c; the moves show the inertia, but faintly.
         """
         moved = 2 * tilt / (max(poses, 2) - 1)
-        return cls(grasp, tilt, min(cls.acceleration, moved / LEAST_STRETCH**2), 0, hold, poses=poses)
+        slow = min(cls.acceleration, moved / LEAST_STRETCH**2) if tilt else cls.acceleration
+        return cls(grasp, tilt, slow, 0, hold, poses=poses)
 
     @property
     def seconds(self) -> float:

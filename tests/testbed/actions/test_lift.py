@@ -46,6 +46,7 @@ def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray
         Lift(0, tilt=0.05, swings=3, acceleration=4.0, poses=3),
         Lift(0, swings=0),
         Lift.stop_and_go(0),
+        Lift.stop_and_go(0, tilt=0.0),
         Lift(0, tilt=0.3, poses=4, acceleration=1.0),
     ],
 )

@@ -80,7 +80,7 @@ class Trajectory:
     status: Status
     """ok; slipped in the grip; limit of torque, speed, reach or joint; fault."""
     reason: str
-    """Reason for a status other than ok, in a sentence; else empty."""
+    """Reason for a status other than ok, or for the early end of a push that is ok, in a sentence; else empty."""
     time_s: Float[np.ndarray, "T"]
     """Time since the start of the tare [s]."""
     phase: Int[np.ndarray, "T"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Self
@@ -54,5 +55,8 @@ def one_line(words: str) -> str:
 
 def short(value: object, text: Callable[[object], str] = repr) -> str:
     """A value for a message, cut where it is long."""
-    words = one_line(text(value))
+    try:
+        words = one_line(text(value))
+    except ValueError:  # Python writes no integer of so many digits
+        words = f"{type(value).__name__} with an integer of more than {sys.get_int_max_str_digits()} digits"
     return words if len(words) <= _LONGEST else words[: _LONGEST - 3] + "..."

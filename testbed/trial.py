@@ -58,11 +58,9 @@ def parse_support(text: str | float) -> Support:
         InvalidValueError: neither.
     """
     named = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
-    if text in named:
-        return named[str(text)]
     try:
-        return Support(float(text))
-    except ValueError:
+        return named[str(text)] if text in named else Support(float(text))
+    except (TypeError, ValueError, OverflowError):
         raise InvalidValueError("support", text, '"own_weight", "rigid", or a stiffness >= 0, N/m') from None
 
 

@@ -22,6 +22,7 @@ from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.scene import part
 from testbed.simulation.settings import GripSettings, SimulationSettings
+from testbed.trial import RIGID, Trial, parse_support
 
 SHAPE = load_object("L2").shape
 GRASP = st.integers(0, 20)
@@ -82,7 +83,7 @@ REFUSED: list[tuple[type[Action], dict[str, object], str]] = [
     *((Rotate, {"grasp": bad}, "Rotate.grasp") for bad in (-1, 0.5, True, "0", "A1", None, np.float64(1), np.True_)),
     *((Accelerate, {"grasp": bad}, "Accelerate.grasp") for bad in (-1, math.nan)),
     *((Lift, {"grasp": bad}, "Lift.grasp") for bad in (-1, None)),
-    *((Rotate, {"speed": bad}, "Rotate.speed") for bad in (0.0, math.nan, "1", 10**400)),
+    *((Rotate, {"speed": bad}, "Rotate.speed") for bad in (0.0, math.nan, "1", 10**400, 10**5000)),
     *((Rotate, {"duration": bad}, "Rotate.duration") for bad in (0.0, math.inf, None)),
     *((Rotate, {"pivot": bad}, "Rotate.pivot") for bad in ((0.0, math.nan), [0, 0, 0], 5, ["1", "2"])),
     (Rotate, {"back": "no"}, "Rotate.back"),
@@ -112,6 +113,12 @@ def test_a_trial_of_a_name_is_refused(field: str, value: str):
     with pytest.raises(InvalidValueError) as refused:
         replace(Trial(load_object("L2"), Rotate(0)), **{field: value})
     assert refused.value.field == f"Trial.{field}"
+
+
+@pytest.mark.parametrize("given", [None, [1], "air", -1, pytest.param(10**400, id="large")])
+def test_a_support_that_is_none_is_refused(given: Any):
+    with pytest.raises(InvalidValueError, match=r'support: got .*; allowed: "own_weight", "rigid", or a stiffness'):
+        parse_support(given)
 
 
 @pytest.mark.parametrize("part", [-0.1, 1.5, "middle"])

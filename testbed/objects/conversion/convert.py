@@ -111,9 +111,9 @@ def convert_mesh(
     notes = list(surface.notes)
     if parts.endswith(".ply"):
         surface, parts = labelled(surface, Path(parts)), "colours"
-    if down == "auto" or down.isdigit():
+    if down == "auto" or down.isdecimal():
         poses = stable_poses(surface, center_of_mass)
-        index = int(down) - 1 if down.isdigit() else 0
+        index = int(down) - 1 if down.isdecimal() else 0
         if not 0 <= index < len(poses):
             raise InvalidValueError("down", down, f"1 to {len(poses)}, a stable pose, the likeliest first")
         pose = poses[index]

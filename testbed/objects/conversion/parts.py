@@ -96,7 +96,7 @@ def labelled(surface: Surface, path: Path) -> Surface:
 def _clustered(surface: Surface, how: str) -> list[float]:
     """Cuts of a surface into clusters of even width along its length: the least sum of squares, exactly."""
     given = how.removeprefix("clusters").removeprefix(":") or str(CLUSTERS)
-    if not (given.isdigit() and 2 <= int(given) <= MOST_PARTS):
+    if not (given.isdecimal() and 2 <= int(given) <= MOST_PARTS):
         raise InvalidValueError("parts", how, f"clusters, or clusters:2 to clusters:{MOST_PARTS}")
     count, along = int(given), surface.points[:, 0]
     edges = np.linspace(along.min(), along.max(), SLICES + 1)

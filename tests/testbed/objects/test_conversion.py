@@ -202,8 +202,11 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
     cloud.write_text(head + "property uchar segmentation\nend_header\n" + "\n".join(rows) + "\n")
     parts, _ = cut(labelled(bar, cloud), "colours")
     assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.05)
-    with pytest.raises(InvalidValueError, match="clusters:2 to"):
-        cut(bar, "clusters:1")
+    for wrong in ("clusters:1", "clusters:²"):
+        with pytest.raises(InvalidValueError, match="clusters:2 to"):
+            cut(bar, wrong)
+    with pytest.raises(InvalidValueError, match="down: got '²'"):
+        convert_mesh(tmp_path / "bar.ply", down="²")
     for wrong in ("0", "99", "1.5", "color"):
         with pytest.raises(InvalidValueError, match="planes as"):
             cut(bar, wrong)

@@ -15,9 +15,9 @@ from estimators.inertial.estimate import DRAWS
 from estimators.inertial.lifts import lift_equations
 from estimators.inertial.parts import ellipsoid_of
 from estimators.inertial.semidefinite import consistent_inertia
+from estimators.particles.lifts import lifts_among
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.static_poses import Calibration
-from testbed.sensing.lift_windows import lift_windows
 from testbed.trajectory import Trajectory
 
 LEVEL = 0.9
@@ -52,7 +52,8 @@ class Payload:
         """
         lifts = [each for each in trajectories if each.action.in_air and each.ok]
         found = consistent_inertia(lift_equations(shape, lifts), ellipsoid_of(shape))
-        window, tool = lift_windows(lifts[0])[0], lifts[0].tool
+        first, (window, *_) = next(iter(lifts_among(shape, lifts).items()))
+        tool = lifts[first].tool
         assert tool is not None
         axes = window.from_sensor[:3, :3]
         tcp = np.append(shape.grasps[window.grasp].position, window.tcp_height)

@@ -369,7 +369,6 @@ def reduced_trials(
         record = action, trajectory.wrench_on_object_world.tobytes()
         if record in records:
             continue
-        records.add(record)
         if action.grasp is not None and action.grasp >= len(shape.grasps):
             allowed = f"one of the shape's {len(shape.grasps)} grasps, counted from 0: another object's trial?"
             raise InvalidValueError(f"trajectories[{index}].action.grasp", action.grasp, allowed)
@@ -377,4 +376,5 @@ def reduced_trials(
             found[index] = reduce(trajectory)
         except InvalidValueError:  # too short
             continue
+        records.add(record)
     return found

@@ -277,6 +277,12 @@ def test_a_lift_gives_the_object_in_the_sensors_frame(lift):
     assert found.parameters.consistent and found.undetermined == []
 
 
+def test_a_lift_without_a_tare_is_left_out(lift):
+    no_tare = replace(lift, phase=np.where(lift.mask(Phase.TARE), Phase.APPROACH, lift.phase))
+    found, usual = (Payload.of_lifts(L2.shape, lifts).parameters for lifts in ([no_tare, lift], [lift]))
+    assert np.array_equal(found.vector, usual.vector)
+
+
 def test_the_tool_is_added(lift):
     alone, both = (Payload.of_lifts(L2.shape, [lift], with_tool=added).parameters for added in (False, True))
     assert lift.tool is not None

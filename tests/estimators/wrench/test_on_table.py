@@ -221,6 +221,8 @@ def test_a_record_that_is_given_again_counts_once():
     trials = turns(OBJECT)
     again = [*trials, replace(trials[0], reason="again"), *trials]
     assert torch.equal(windows_of(OBJECT, again).wrench, windows_of(OBJECT, trials).wrench)
+    no_data = replace(trials[0], segment=np.full_like(trials[0].segment, -1))  # of the same wrench
+    assert torch.equal(windows_of(OBJECT, [no_data, *trials]).wrench, windows_of(OBJECT, trials).wrench)
 
 
 def test_windows_belong_to_their_caller():

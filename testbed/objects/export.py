@@ -147,11 +147,15 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
             in links has one of each link in any case.
 
     Raises:
-        InvalidValueError: a link without mass.
+        InvalidValueError: a link without mass, or a block of the object's name, which would be a link of its own.
     """
     robot, links = Element("robot", name=exported.name), exported.links
     robot.append(ElementTree.Comment(f"\n{exported.comment}\n"))
     single = inertial or exported.has_hinges
+    if not single and exported.name in {box.name for box in links[0].boxes}:
+        raise InvalidValueError(
+            "name", exported.name, "another name than a block's, or --inertial: URDF has no two alike"
+        )
     for whole in links:
         root = SubElement(robot, "link", name=whole.name)
         for name, inside in _pieces(whole, single).items():

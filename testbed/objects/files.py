@@ -247,10 +247,10 @@ class ObjectFile(_Table):
     def _check_names(self, model: ObjectModel) -> None:
         """Refuse a name that a simulator would have twice."""
         links = [f"link_{index}" for index in range(len(self.hinges) + 1)] if self.hinges else []
-        count = Counter([self.name, *links, *(box.name for box in boxes_of(model.shape, model.truth))])
-        twice = {name for name in count if count[name] > 1} | (set(links) & set(model.shape.group_names))
+        boxes = Counter(box.name for box in boxes_of(model.shape, model.truth))
+        twice = {name for name in boxes if boxes[name] > 1} | ({self.name, *model.shape.group_names} & set(links))
         if twice:
-            allowed = "names of object and parts that differ, also from cells (part_0, ...) and links (link_0, ...)"
+            allowed = "names of parts that differ, also from cells (part_0, ...) and links (link_0, ...)"
             raise InvalidValueError("name", sorted(twice), allowed)
 
     def _build_mesh(self, grid: int, folder: Path) -> ObjectModel:

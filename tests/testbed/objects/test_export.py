@@ -291,6 +291,7 @@ HALF = replace(FOLD.truth, mass=FOLD.truth.mass * [1, 1, 0, 0])
     ("write", "said"),
     [
         (lambda: export_text(exported(load_object("L2")), "urdf", scene=True), "--scene"),
+        (lambda: to_urdf(replace(exported(load_object("L2")), name="A1")), "A1"),
         (lambda: to_mjcf(replace(exported(FOLD), distribution=HALF)), "link_1 of 0 kg"),
         (lambda: replace(exported(FOLD), hinge_friction=(0.1, 0.2)), "hinge_friction"),
         (lambda: replace(exported(FOLD), hinge_deviation=(0.1, 0.2)), "hinge_deviation"),

@@ -109,10 +109,12 @@ class PoseStream:
         return np.diff(self.poses[..., 2], axis=1)
 
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
-        """Poses at given times [s], straight between the frames that saw all parts; for drawing."""
-        whole = ~np.isnan(self.poses).any(axis=(1, 2))
-        series = self.poses[whole].reshape(int(whole.sum()), -1)
-        return interpolated(times, self.time_s[whole], series).reshape(-1, self.parts, 3)
+        """Poses at given times [s], of each part straight between the frames that saw it; for drawing."""
+        found = np.empty((len(times), self.parts, 3))
+        for part, poses in enumerate(self.poses.transpose(1, 0, 2)):
+            seen = ~np.isnan(poses[:, 0])
+            found[:, part] = interpolated(times, self.time_s[seen], poses[seen])
+        return found
 
     def motion(
         self,

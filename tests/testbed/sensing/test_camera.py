@@ -101,3 +101,11 @@ def test_what_is_no_camera_is_refused():
     for make in refused:
         with pytest.raises(InvalidValueError):
             make()
+
+
+def test_parts_that_are_seen_in_turn_are_drawn_each_by_its_own_frames():
+    time = np.arange(10) / 10
+    poses = np.tile(time[:, None, None], (1, 2, 3))
+    poses[::2, 0] = poses[1::2, 1] = np.nan
+    found = PoseStream(time, poses).at(np.array([0.25, 0.7]))
+    assert np.allclose(found, np.array([0.25, 0.7])[:, None, None])

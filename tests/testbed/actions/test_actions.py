@@ -22,7 +22,7 @@ from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.scene import part
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trial import RIGID, Trial, parse_support
+from testbed.trial import parse_support
 
 SHAPE = load_object("L2").shape
 GRASP = st.integers(0, 20)

@@ -131,7 +131,8 @@ def row_of(folder: Path, beginning: str) -> Row:
     """
     rows = [row for row in load_rows(folder) if row.get("key")]
     found = [row for row in rows if str(row["key"]).startswith(beginning)]
-    check_unambiguous("ESTIMATE", beginning, [str(row["key"]) for row in found])
+    each = [*dict.fromkeys(str(row["key"]) for row in found)]  # points of a sweep may share an estimate
+    check_unambiguous("ESTIMATE", beginning, each)
     if not found:
         there = some_keys([str(row["key"]) for row in rows])
         allowed = f"the beginning of an estimate's key in {folder}: {there or 'none is there'}"

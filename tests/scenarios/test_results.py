@@ -14,6 +14,8 @@ from estimators.testing.analytic_world import turns
 from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
 from scenarios.cli.main import main
 from scenarios.cli.run import status
+from scenarios.config import Scenario, load_scenario
+from scenarios.results.estimates import load_results, load_trajectories, row_of
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.results.table import rows_of, write_rows
@@ -227,6 +229,13 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
     write_rows(copied, [row | {"key": "0" + row["key"][1:]} for row in rows_of(rows)])
     said = refusal(capsys, "view", str(copied), "0", option)
     assert re.search(rf"heft: {field}: got '0'; .* this is ambiguous: \d+ begin so \(0", said)
+
+
+def test_points_of_a_sweep_may_share_an_estimate(copied):
+    rows = [row | {"axis.k": k} for k in (200, 400) for row in rows_of(load_results(copied))]
+    write_rows(copied, rows)
+    found = row_of(copied, rows[0]["key"])
+    assert (found["key"], found["axis.k"]) == (rows[0]["key"], 200)
 
 
 @pytest.mark.slow

@@ -284,6 +284,10 @@ class Scenario(Strict):
                 raise InvalidValueError("--world", world, "none: another runner has a world of its own")
         return self.model_copy(update=changes)
 
+    def all_objects(self) -> list[str]:
+        """Names and paths of its objects, then the names of the random ones."""
+        return [*self.objects, *(name for family in self.random for name in family.names())]
+
     def supports(self) -> list[Support]:
         """Supports that carry the weight, in order."""
         return [parse_support(value) for value in self.support]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from rich.console import Console
@@ -60,12 +61,13 @@ class DryRun:
     def of(scenario: Scenario) -> DryRun:
         """The size of a scenario's run, counted at each point of the sweep."""
         points = scenario.points()
-        objects = len(scenario.objects) + sum(family.count for family in scenario.random)
-        linked = sum(load_object(path).shape.chain is not None for path in scenario.objects)
+        has_links = lru_cache(maxsize=None)(lambda path: load_object(path).shape.chain is not None)
+        objects = {name for _, point in points for name in point.all_objects()}
         experiments = trials = estimates = 0
         seconds, unknown, made = 0.0, dict[str, None](), set[str]()
         for _, point in points:
-            here = objects * len(point.support)
+            here = len(point.all_objects()) * len(point.support)
+            linked = sum(map(has_links, point.objects))
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             kinds = {label: kind_of(label, settings) for label, settings in point.methods.items()}
             unknown |= {label: None for label, kind in kinds.items() if kind not in METHODS}
@@ -81,7 +83,7 @@ class DryRun:
                 seconds += in_order * point.policy.expected_trials * TRIAL_S
                 if point.policy.kind == "online":
                     seconds += in_order * point.policy.touches * DECISION_S
-        return DryRun(objects, len(points), experiments, trials, estimates, seconds, tuple(unknown))
+        return DryRun(len(objects), len(points), experiments, trials, estimates, seconds, tuple(unknown))
 
 
 def _of_trials(point: Scenario) -> str:

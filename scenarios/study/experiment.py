@@ -130,7 +130,7 @@ def experiments_of(
     experiments, left_out, feasible = [], [], _Grasps(store)
     load_once = lru_cache(maxsize=None)(load_object)  # for all points of a sweep
     points = scenario.points()
-    total = len(points) * (len(scenario.objects) + sum(family.count for family in scenario.random))
+    total = sum(len(point.all_objects()) for _, point in points)
     done = 0
     for axes, point in points:
         settings = point.simulation.build()

@@ -14,7 +14,7 @@ from estimators.testing.analytic_world import turns
 from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
 from scenarios.cli.main import main
 from scenarios.cli.run import status
-from scenarios.config import Scenario, load_scenario
+from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.results.estimates import load_results, load_trajectories, row_of
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
@@ -22,6 +22,8 @@ from scenarios.results.table import rows_of, write_rows
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
+from scenarios.study.experiment import experiments_of
+from scenarios.study.run import run_scenario
 from tests.helpers.commands import ended, refusal
 from tests.helpers.runs import quiet
 from viz.report.tables import NAD, quantile_table
@@ -275,6 +277,15 @@ def test_a_dry_run_counts_shared_trials_once_and_names_what_it_does_not_know():
     lab = {"world": {"preset": "lab"}}  # whose seed decides trials
     swept_lab, single_lab = (DryRun.of(Scenario.model_validate(each.model_dump() | lab)) for each in (swept, one))
     assert swept_lab.trials == 4 * single_lab.trials
+
+
+def test_a_dry_run_and_the_progress_count_the_objects_of_each_point(tmp_path):
+    axes = {"objects": [["I1", "I2", "L2"], ["I1"]]}
+    scenario = Scenario(objects=["I1"], sweep=Sweep(axes=axes))
+    size, totals = DryRun.of(scenario), []
+    assert (size.objects, size.experiments, size.estimates) == (3, 4, 4)
+    experiments_of(scenario, Store(tmp_path), lambda stage, done, total, failed=0: totals.append((done, total)))
+    assert totals == [(done, 4) for done in (1, 2, 3, 4)]
 
 
 def test_many_objects_are_told_by_quantiles():

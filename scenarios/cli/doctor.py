@@ -54,15 +54,16 @@ def doctor(
     check_results(folder)
     if not (every := load_rows(folder)):
         raise InvalidValueError("DIR", folder, "a results folder with estimates: heft run, heft touch or heft estimate")
-    rows = [row for row in every if row.get("trial_keys") is not None and row["seed"] == draw]
-    known = list(dict.fromkeys(str(row["object"]) for row in rows))
+    done = [row for row in every if row.get("trial_keys") is not None]
+    known = list(dict.fromkeys(str(row["object"]) for row in done))
     for name in objects:
         if name not in known:
             raise InvalidValueError("OBJECT", name, f"one of {', '.join(known) or 'none: no estimate is done'}")
+    of_these = [row for row in done if not objects or row["object"] in objects]
     console, asked = open_console(), set[tuple[str, ...]]()
-    for row in rows:
+    for row in of_these:
         keys = (*row["trial_keys"], row["sensing"])
-        if keys in asked or (objects and row["object"] not in objects):
+        if keys in asked or row["seed"] != draw:
             continue
         asked.add(keys)
         with show_progress() as progress:
@@ -78,8 +79,7 @@ def doctor(
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
     if not asked:
-        draws = sorted({int(row["seed"]) for row in every if row.get("trial_keys") is not None})
-        if draws:
+        if draws := sorted({int(row["seed"]) for row in of_these}):
             allowed = f"a draw that the folder has estimates of: {', '.join(map(str, draws))}"
             raise InvalidValueError("--draw", draw, allowed)
         raise InvalidValueError("DIR", folder, f"a folder with an answer; it has none (heft status {folder})")

@@ -18,10 +18,12 @@ from scenarios.catalog import LIBRARY, purpose, scenario_names
 from scenarios.cli.main import COMMANDS, main
 from scenarios.results.estimates import load_trajectories
 from scenarios.results.files import exclusive, write_json
+from scenarios.results.table import write_rows
 from testbed.errors import HeftError
 from testbed.plugins import settings_of
 from tests.fakes.lab_bench import mapping_of, strung, write_csv, write_toml
 from tests.helpers.commands import ended, refusal
+from tests.helpers.rows import row
 from viz.report.tables import Entry, Table
 from viz.report.terminal import rich_table
 
@@ -197,6 +199,15 @@ def test_what_is_not_there_is_named(longer, tmp_path, capsys):
     results = shutil.copytree(longer.out, tmp_path / "out")
     for words, wanted in ((["another"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
         assert wanted in refusal(capsys, "doctor", str(results), *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["I1"], "OBJECT: got 'I1'; allowed: one of L2"), (["L2", "--draw", "9"], "--draw: got 9; allowed: .*of: 0, 1")],
+)
+def test_doctor_names_an_object_or_a_draw_that_is_not_there(tmp_path, capsys, words, said):
+    write_rows(tmp_path, [row("a", seed, 0.1) for seed in (0, 1)])
+    assert re.search(said, refusal(capsys, "doctor", str(tmp_path), *words))
 
 
 def test_doctor_of_a_folder_without_estimates_names_the_folder(tmp_path, capsys):

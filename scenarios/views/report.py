@@ -88,9 +88,10 @@ def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dic
 
 
 def _robot_time(rows: Sequence[Row]) -> str:
-    """Mean robot time of an object under one support; the same trials serve every method and draw."""
+    """Mean robot time of an object under one support; the same trials serve every method."""
+    labels = ("object", "support", "sensing", "seed")
     once = {
-        (row["object"], row["support"], *(str(v) for k, v in row.items() if k.startswith(AXIS))): row["robot_s"]
+        (*(row[name] for name in labels), *(str(v) for k, v in row.items() if k.startswith(AXIS))): row["robot_s"]
         for row in rows
         if row.get("robot_s") is not None
     }

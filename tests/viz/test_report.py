@@ -158,6 +158,11 @@ def test_the_overview_counts_answers_that_are_ok_and_has_the_papers_figures():
     assert theirs.text == f"{(paper.NAD['explicit_state']['I1'] + paper.NAD['explicit_state']['L2']) / 2:.1f}"
 
 
+def test_robot_time_is_the_mean_over_draws_with_trials_of_their_own(tmp_path):
+    rows = [row(m, seed, 0.1, robot_s=time) for m in ("a", "b") for seed, time in ((0, 10.0), (1, 100.0))]
+    assert "55.0 s of moving" in report(write(tmp_path / "draws", rows)).read_text(encoding="utf-8")
+
+
 def test_points_are_named_by_what_differs_among_them():
     rows = [row("a", 0, 0.1) | {"axis.k": k, "sensing": sensing} for k in (1, 2.5) for sensing in ("low", "high")]
     assert list(points_of(rows)) == ["low, k 1", "high, k 1", "low, k 2.5", "high, k 2.5"]

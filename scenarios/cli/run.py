@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -128,10 +129,11 @@ def run(
                 carry_out(study, folder, workers, progress, executor, recorder, views, secret)
             )
         results = rows_of(table)
-        given = {"seeds": seeds, "objects": objects or None, "methods": methods or None, "world": world, "data": data}
+        given = {"seeds": seeds, "objects": objects or None, "methods": methods or None, "world": world, "data": data,
+                 "out": out, "secret": secret, "allow_code": allow_code}  # fmt: skip
         facts = {
             "name": name,
-            "command": " ".join(command_words("heft run", scenario, **given, secret=secret, allow_code=allow_code)),
+            "command": shlex.join(command_words("heft", "run", scenario, **given)),
             "wall_s": round(time.monotonic() - begin, 1),
         }
         write_json(folder / "manifest.json", (read_manifest(folder) or {}) | facts)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import shlex
 import shutil
 import subprocess
 import time
@@ -400,14 +401,17 @@ def test_a_run_removes_the_leftovers_of_heft_and_nothing_that_is_being_written_o
 
 
 @pytest.mark.parametrize("stage", ["figures", "record_results", "report"])
-def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, stage):
+def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, tmp_path, stage):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", str(copied / stage))
 
     for name in ("figures", "record_results", "record_worst", "report"):
         monkeypatch.setattr(finished_views, name, full if name == stage else lambda *_: copied / "x.pdf")
-    said = refusal(capsys, "run", str(finished.scenario), "--out", str(copied), "--workers", "0")
+    scenario = shutil.copy(finished.scenario, tmp_path / "my scenario.toml")
+    said = refusal(capsys, "run", str(scenario), "--out", str(copied), "--workers", "0")
     assert said == f"heft: No space left on device: {copied / stage}\n"
+    command = (read_manifest(copied) or {})["command"]
+    assert shlex.split(command) == ["heft", "run", str(scenario), "--out", str(copied)]
 
 
 def test_a_recording_that_does_not_fit_on_the_disk_is_an_error(tmp_path):

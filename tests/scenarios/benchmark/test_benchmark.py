@@ -26,7 +26,7 @@ from scenarios.results.store import Store, object_request
 from testbed import InvalidValueError, MassDistribution
 from testbed.objects.files import ObjectFile, asset_folder, load_object
 from testbed.trajectory import SERIES
-from tests.helpers.commands import ended
+from tests.helpers.commands import ended, refusal
 from tests.helpers.pages import BLOCKS as PAGE_BLOCKS
 from tests.helpers.runs import quiet
 from tests.scenarios.benchmark.conftest import BLOCKS, SECRET
@@ -414,6 +414,10 @@ def test_the_command_prints_and_writes_the_same_figures(published, tmp_path, cap
     assert "ideal, turns" in shown and "even masses" in shown
     assert content["answers"]["mine"]["all"]["nad"] < 1e-3 < content["answers"]["even masses"]["all"]["nad"]
     assert ended("score", str(tmp_path / "none.csv"), "--benchmark", str(published.benchmark.folder)) == 2
+    even = path.rename(tmp_path / "even masses.csv")
+    assert "none of them even masses" in refusal(
+        capsys, "score", str(even), "--benchmark", str(published.benchmark.folder)
+    )
 
 
 def test_the_example_in_plain_python_writes_answers(published, tmp_path, monkeypatch, capsys):

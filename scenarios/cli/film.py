@@ -67,6 +67,9 @@ def render_trial(root: Path, beginning: str, request: RenderRequest, progress: P
     out = request.out or inside(root, "trials", record.folder.name, "trial.mp4")
     check_film(out, request.width, request.height, request.fps)
     still, pace = out.suffix.lower() == ".png", pace_of(record.trajectory, request)
+    option, given, ending = ("--speed", request.speed, ".mp4 or .gif") if still else ("--at", request.at, ".png")
+    if given is not None:
+        raise InvalidValueError(option, given, f"only with a {ending} file as --out")
     check_positive("--speed", pace)
     choose_offscreen()
     from testbed.simulation.rendering import Playback, drawing

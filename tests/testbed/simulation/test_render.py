@@ -315,6 +315,8 @@ def test_a_machine_that_cannot_draw_reports_what_to_install(root, slide, tmp_pat
         (["KEY", "--width", "111"], "--width"),
         (["KEY", "--speed", "0"], "--speed"),
         (["KEY", "--out", "one.png", "--at", "1e3"], "--at"),
+        (["KEY", "--out", "film.mp4", "--at", "1"], "--at"),
+        (["KEY", "--out", "one.png", "--speed", "2"], "--speed"),
     ],
 )
 def test_a_wrong_option_is_refused_in_a_line(root, slide, capsys, monkeypatch, tmp_path, words, field):

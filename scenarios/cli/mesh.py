@@ -53,7 +53,7 @@ def mesh(
     from viz.figures.objects import object_page
 
     if grasps < 0:
-        raise InvalidValueError("grasps", grasps, "an integer >= 0")
+        raise InvalidValueError("--grasps", grasps, "an integer >= 0")
     made = []
     for file in files:
         try:

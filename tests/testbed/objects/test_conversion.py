@@ -19,7 +19,8 @@ from testbed.objects.conversion.convert import convert_mesh, write_object
 from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
-from tests.helpers.commands import ended
+from tests.helpers.commands import ended, refusal
+from testbed.objects.files import load_object
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
 HEAD, SHAFT = (0.04, 0.09, 0.03), (0.20, 0.03, 0.02)
@@ -241,6 +242,10 @@ def test_grasps_are_across_the_shaft_and_spread_over_it(tmp_path: Path):
         assert_allclose(grasp.width, SHAFT[1] if across_shaft else HEAD[0], atol=2e-4)
     apart = [np.linalg.norm(a.position - b.position) for a in grasps for b in grasps if a is not b]
     assert min(apart) > 0.012
+
+
+def test_a_number_of_grasps_below_zero_is_refused(capsys):
+    assert refusal(capsys, "mesh", "any.stl", "--grasps", "-1") == "heft: --grasps: got -1; allowed: an integer >= 0\n"
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from estimators.base import robot_seconds
 from scenarios.benchmark.problems import SPLITS
 from scenarios.results.files import read_json
 from testbed.errors import InvalidValueError, nearest
@@ -180,7 +181,7 @@ def trial_row(problem: str, number: int, episode: int, trajectory: Trajectory) -
         "episode_index": episode,
         "action": trajectory.action.kind,
         "status": trajectory.status,
-        "robot_s": float(trajectory.time_s[-1] - trajectory.time_s[0]),
+        "robot_s": robot_seconds([trajectory]),
         "samples": len(trajectory.time_s),
         "header": json.dumps(header_of(trajectory)),
         "camera_time_s": None if camera is None else camera.time_s.tolist(),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from estimators.base import Estimate, check_estimate
+from estimators.base import Estimate, check_estimate, robot_seconds
 from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
 from estimators.evaluation.statistics import axis_columns
@@ -357,7 +357,7 @@ def judge(
             "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
             "seconds": answer.seconds,
             "trials": len(seen),
-            "robot_s": float(sum(t.time_s[-1] for t in seen)),
+            "robot_s": robot_seconds(seen),
             "weight_kg": weight_of(seen[0]),
             "group_names": list(shape.group_names),
             "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,

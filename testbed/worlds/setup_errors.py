@@ -179,9 +179,9 @@ class SetupErrors:
 
     @staticmethod
     def largest(setups: Sequence[SetupErrors]) -> SetupErrors:
-        """The largest error of each kind among some setups."""
-        if len(set(setups)) == 1:
-            return setups[0]
+        """The largest error of each kind among some setups; none without setups."""
+        if len(set(setups)) < 2:
+            return setups[0] if setups else EXACT_SETUP
         return SetupErrors(**{name: max(getattr(each, name) for each in setups) for name in PARAMETERS})
 
     def place_error(self, *, on_feet: bool) -> float:

@@ -183,6 +183,8 @@ def test_a_friction_that_no_dry_surface_has_is_questioned():
 
 def test_without_a_prediction_the_answer_stays():
     assert status_of(says(UNIFORM), trials=[]).status == "ok"
+    sure = says(UNIFORM, covariance=1e-12 * np.eye(SHAPE.n_m))
+    assert status_of(sure, trials=[]).status == "ok"
     nothing = says(None, "no_data", message="no trial")
     assert status_of(nothing) is nothing
 

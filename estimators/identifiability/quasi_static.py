@@ -159,7 +159,7 @@ class Drag:
 
 
 def _motion(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]], step: float) -> PushedMotion:
-    poses, twists, places = (np.array(part) for part in zip(*rows, strict=True))
+    poses, twists, places = (np.array([row[k] for row in rows]).reshape(-1, n) for k, n in enumerate((3, 3, 2)))
     return PushedMotion(step * np.arange(len(rows)), poses, twists, places)
 
 

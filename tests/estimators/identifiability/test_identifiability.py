@@ -32,6 +32,7 @@ from scenarios.cli.plan import actions_of
 from testbed import Accelerate, Action, Lift, Push, Rotate, Slide, Trajectory, Weigh, load_object, world
 from testbed.actions.path import RAMP_TIME
 from testbed.errors import InvalidValueError
+from testbed.objects.faces import faces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.presets import Sensing, preset
 from testbed.worlds.setup_errors import EXACT_SETUP
@@ -237,6 +238,14 @@ def test_the_plan_is_the_policys_and_of_the_grasps_pushes_and_lifts_asked_for():
     assert actions_of(L2, pivots=0, pushes=5)[1:] == random_pushes(L2.shape, 5, 0)
     lifts = [a for a in actions_of(load_object("I2"), support="rigid", lifts=3) if isinstance(a, Lift)]
     assert [lift.grasp for lift in lifts] == [2, 3, 1], "the inner grasps"
+
+
+@pytest.mark.parametrize("part", [0.0, 1.0])
+def test_no_trials_and_a_push_that_slips_off_at_once_show_the_weight_alone(part: float):
+    shape, truth, sensor = L2.shape, L2.truth, preset("ft300s").stated
+    slips = Push.into(faces(shape)[0], part, 0.0, 0.0)
+    reports = [observed(shape, truth, []), expected(shape, truth, [slips], sensor), expected(shape, truth, [], sensor)]
+    assert [report.rank for report in reports] == [1, 1, 1]
 
 
 LINKS = "scenarios/library/objects/fold_2.toml"

@@ -232,7 +232,12 @@ def mean_particle_distance(
         estimate: masses and frictions.
         turns: turns at constant speed.
         support: support that the prediction assumes: own_weight, as every method does, or rigid.
+
+    Raises:
+        InvalidValueError: another support.
     """
+    if support not in LOADS:
+        raise InvalidValueError("support", support, f"one of {', '.join(LOADS)}")
     usable = [turn for turn in turns if turn.ok]
     windows = observe(shape, usable, RIGID if support == "rigid" else ModelErrors())
     if windows is None or windows.articulated:

@@ -83,6 +83,12 @@ def test_masses_that_do_not_fit_the_shape_are_refused():
         assert raised.value.field == field
 
 
+@pytest.mark.parametrize("support", ["own weight", "springs"])
+def test_a_support_without_a_prediction_is_refused(support):
+    with pytest.raises(InvalidValueError, match=f"support: got '{support}'; allowed: one of own_weight, rigid"):
+        mean_particle_distance(OBJECT.shape, OBJECT.truth, [], support)
+
+
 FLOOR = 3e-5
 """Distance that steps of 10 ms cost the truth itself [m]."""
 PRESSED = {"lift": 0.4, "moment": (0.004, -0.003)}

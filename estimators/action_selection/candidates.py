@@ -20,7 +20,7 @@ from testbed.errors import InvalidValueError
 from testbed.frames import rotation_2d
 from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
-from testbed.validation import is_number
+from testbed.validation import check_integer, is_number
 
 REACH = (0.20, 0.70)
 """Least and greatest distance of the TCP from the arm's base [m]; the simulated inverse kinematics fail beyond."""
@@ -79,10 +79,9 @@ class ActionFamily:
             seed: seed of the draw.
 
         Raises:
-            InvalidValueError: fewer than one to draw, or pushes of an object with hinges.
+            InvalidValueError: no number to draw, or pushes of an object with hinges.
         """
-        if count < 1:
-            raise InvalidValueError("count", count, "an integer >= 1")
+        check_integer("count", count)
         family, linked = self, shape.chain is not None
         if linked and self.pushes:
             raise InvalidValueError("pushes", self.pushes, "none: an object with hinges is not pushed")

@@ -14,7 +14,7 @@ from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime
 from estimators.action_selection.design import LEAST_GAIN, Belief, Criterion, Design, Guess, prior_belief, steady
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, Plan, PlanStep, always_feasible, plan_step
-from estimators.action_selection.rank import RANK_DRIVEN
+from estimators.action_selection.rank import RANK_DRIVEN, allowed_grasps
 from testbed.actions.base import Action
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
@@ -127,8 +127,7 @@ def _prepared(policy: PlannedPolicy, shape: ObjectShape) -> tuple[Design, Feasib
 @lru_cache(maxsize=2)
 def _predicted(policy: PlannedPolicy, shape: ObjectShape) -> Design:
     """All candidates, the same for every way to choose among them."""
-    grasps = range(len(shape.grasps)) if policy.grasps is None else policy.grasps
-    candidates = policy.family.sample(shape, grasps, policy.candidates, policy.seed)
+    candidates = policy.family.sample(shape, allowed_grasps(shape, policy.grasps), policy.candidates, policy.seed)
     return Design.of(shape, candidates, policy.guess, policy.criterion)
 
 

@@ -13,6 +13,7 @@ from estimators.action_selection.cost import RobotTime, spent_seconds
 from estimators.action_selection.design import Belief, Criterion, Design, Guess, expected_nad, prior_belief, steady
 from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
+from estimators.action_selection.rank import allowed_grasps
 from estimators.base import Estimate, Estimator
 from estimators.identifiability.information import shown_information
 from estimators.identifiability.trailing import GUESS
@@ -93,7 +94,7 @@ class OnlinePolicy:
             shape: geometry and grasps.
             trajectories: trials so far, without the weighing.
         """
-        windows = observe(shape, trajectories)
+        grasps, windows = allowed_grasps(shape, self.grasps), observe(shape, trajectories)
         estimate = self.estimator.estimate(shape, self.guess.weight, trajectories, self.seed) if trajectories else None
         setup = self.guess.setup if windows is None else windows.setup
         hinges = _hinges(shape, self.guess, estimate)
@@ -126,7 +127,6 @@ class OnlinePolicy:
                 why = f"the trials disagree (misfit {misfit:.0f}); the one that fits least is done again"
                 return decision(worst, why)
         failed = {trajectory.action for trajectory in trajectories if not trajectory.ok}
-        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
         design = Design.of(shape, candidates, guess, self.criterion, at)
         if self.goal.met(nad) or contradictory:

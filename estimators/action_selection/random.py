@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimators.action_selection.rank import sees_every_load
+from estimators.action_selection.rank import allowed_grasps, sees_every_load
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.push import Push
@@ -101,10 +101,10 @@ class RandomDrags:
     """Actions that the bench refused, and why; grows as trials are made."""
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """Next slide or turn; None when done."""
-        if sum(t.ok for t in trajectories) >= self.drags:
+        """Next slide or turn; None when done, or without an allowed grasp."""
+        grasps = allowed_grasps(shape, self.grasps)
+        if not grasps or sum(t.ok for t in trajectories) >= self.drags:
             return None
-        grasps = tuple(range(len(shape.grasps))) if self.grasps is None else self.grasps
         return untried(random_drags(shape, grasps, TRIES * self.drags, self.seed), self.refused, trajectories)
 
 

@@ -17,6 +17,7 @@ from testbed.actions.slide import Slide
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
 
 
 @dataclass(frozen=True)
@@ -47,15 +48,15 @@ class RankDriven:
     """Actions that the bench refused, and why: their grasps are used no more; grows as trials are made."""
 
     def __post_init__(self) -> None:
-        for name in ("pivots", "accelerated", "most"):
-            if getattr(self, name) < (1 if name == "most" else 0):
-                raise InvalidValueError(f"RankDriven.{name}", getattr(self, name), "an integer >= 0 (most: >= 1)")
+        for name, least in (("pivots", 0), ("accelerated", 0), ("most", 1)):
+            check_integer(f"RankDriven.{name}", getattr(self, name), least)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action; None when done, without an allowed grasp, or after `most` trials.
 
         Raises:
             InfeasibleTrialError: actions about all allowed grasps were refused.
+            InvalidValueError: a grasp that the shape does not have.
         """
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
@@ -68,7 +69,7 @@ class RankDriven:
 
     def _after(self, shape: ObjectShape, tried: Sequence[Action], good: Sequence[Action]) -> Action | None:
         barred = {action.grasp for action in self.refused if action.on_table}
-        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        grasps = allowed_grasps(shape, self.grasps)
         allowed = [grasp for grasp in grasps if grasp not in barred]
         if grasps and not allowed:
             raise InfeasibleTrialError("the bench refused an action about every grasp")
@@ -119,6 +120,21 @@ def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, flo
         return None
     x, y = point + shape.cell / 2
     return float(x), float(y)
+
+
+def allowed_grasps(shape: ObjectShape, grasps: Sequence[int] | None) -> tuple[int, ...]:
+    """Grasps that a policy may use; None is all.
+
+    Raises:
+        InvalidValueError: a grasp that the shape does not have.
+    """
+    count = len(shape.grasps)
+    if grasps is None:
+        return tuple(range(count))
+    for grasp in grasps:
+        if check_integer("grasps", grasp, 0) >= count:
+            raise InvalidValueError("grasps", grasp, f"some of the shape's {count} grasps, counted from 0")
+    return tuple(map(int, grasps))
 
 
 FEWEST_GRASPS = 3

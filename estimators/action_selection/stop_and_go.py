@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimators.action_selection.random import untried
+from estimators.action_selection.rank import allowed_grasps
 from estimators.base import ActionPolicy
 from testbed.actions.base import Action
 from testbed.actions.lift import Lift
@@ -37,6 +38,6 @@ class StopAndGo:
                 return action
         if sum(t.ok for t in lifts) >= self.lifts:
             return None
-        grasps = range(len(shape.grasps)) if self.grasps is None else self.grasps
+        grasps = allowed_grasps(shape, self.grasps)
         inner = sorted(grasps, key=lambda g: float(np.linalg.norm(shape.grasps[g].position)))
         return untried([Lift.stop_and_go(g) for g in inner], self.refused, lifts)

@@ -1,7 +1,7 @@
 """Policies: by rank, of stop-and-go lifts, of random pushes, and the next touch from what was felt."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -11,14 +11,16 @@ import pytest
 from estimators import ActionPolicy, Bayes, HiddenStates
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.design import NORMAL_MEAN, Guess
+from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
-from estimators.action_selection.random import TRIES, RandomPushes, random_pushes
+from estimators.action_selection.random import TRIES, RandomDrags, RandomPushes, random_pushes
 from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, held_out_grasp, predicted_rank
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.testing.analytic_world import analytic_trial, drawn_object, record
 from scenarios.policies import Policy
 from testbed import Accelerate, Action, Lift, ObjectModel, Push, Rotate, Sensing, Slide, Trajectory, load_object, preset
+from testbed.errors import InvalidValueError
 from testbed.simulation.settings import SimulationSettings
 from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
@@ -53,8 +55,35 @@ def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
     actions = actions_of(RankDriven(pivots=4, accelerated=0, grasps=(1, 2, 4, 5)), shape)
     assert all(isinstance(action, Rotate) for action in actions)
     assert sorted(action.grasp for action in actions) == [1, 2, 4, 5]
-    assert RankDriven(grasps=()).next(shape, []) is None
+    assert RankDriven(grasps=()).next(shape, []) is None is RandomDrags(grasps=()).next(shape, [])
     assert RankDriven(most=1).next(shape, [record(action=action) for action in actions]) is None
+
+
+SENSOR = preset("ft300s").stated
+
+
+@pytest.mark.parametrize("grasp", [-1, 99, "1"])
+@pytest.mark.parametrize(
+    "policy",
+    [RankDriven(), RandomDrags(), StopAndGo(), PlannedPolicy(Guess(1.0, SENSOR)), OnlinePolicy(Guess(1.0, SENSOR))],
+    ids=lambda policy: type(policy).__name__,
+)
+def test_a_grasp_that_the_shape_does_not_have_is_refused(policy, grasp):
+    with pytest.raises(InvalidValueError, match=f"grasps: got {grasp!r}"):
+        replace(policy, grasps=(grasp,)).next(L2, [])
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        *(partial(RankDriven, pivots=wrong) for wrong in ("3", 2.5, -1)),
+        partial(RankDriven, most=0),
+        *(partial(ActionFamily().sample, L2, [0], wrong, 0) for wrong in (1.5, "a", 0)),
+    ],
+)
+def test_a_number_that_is_no_count_is_refused(made):
+    with pytest.raises(InvalidValueError, match="allowed: an integer >= "):
+        made()
 
 
 @pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L1", 2), ("F1", 2)])

@@ -20,6 +20,7 @@ from testbed.files import read_file, write_whole
 from testbed.objects.model import ObjectShape
 from testbed.sensing.presets import preset
 from testbed.trajectory import Trajectory
+from testbed.validation import check_positive_fields
 
 SHIPPED = Path(__file__).with_name("trained.json")
 """Weights that heft ships; `python -m scenarios.environment.train` makes them."""
@@ -49,6 +50,7 @@ class TrainedIndex:
         values = np.array(self.weights, dtype=float)
         if values.shape != SHAPE or not np.isfinite(values).all():
             raise InvalidValueError("TrainedIndex.weights", self.weights, f"{SHAPE[0]} rows of {SHAPE[1]} numbers")
+        check_positive_fields(self, "budget_s")
 
     def __call__(
         self, design: Design, belief: Belief, gain: Float[np.ndarray, "C"], seconds: Float[np.ndarray, "C"], left: float

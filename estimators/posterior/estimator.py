@@ -44,6 +44,8 @@ class Bayes:
     def __post_init__(self) -> None:
         if self.support not in ASSUMPTION:
             raise InvalidValueError("Bayes.support", self.support, f"one of {', '.join(ASSUMPTION)}")
+        if not isinstance(self.unknown_bias, bool):
+            raise InvalidValueError("Bayes.unknown_bias", self.unknown_bias, "true or false")
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int

@@ -138,6 +138,7 @@ WRONG: tuple[tuple[type[Estimator], dict[str, object], str], ...] = (
     (MujocoSysid, {"support": "springs"}, ""),
     (MujocoSysid, {"weighting": "velocity"}, ""),
     (MujocoSysid, {"iterations": 0}, ""),
+    (Bayes, {"unknown_bias": "no"}, "true or false"),
     (SupportAware, {"materials_kg": (0.1, -1.0)}, "numbers > 0"),
     (SupportAware, {"materials_kg_m3": (1000.0,), "materials_kg": (0.1, 0.4)}, "masses or densities, not both"),
     (SupportAware, {"confidence": 1.0}, "a number > 0 and < 1"),

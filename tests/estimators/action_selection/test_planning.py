@@ -355,6 +355,7 @@ def test_what_the_family_would_not_draw_is_refused(action, why):
         (lambda: Goal(until=-0.1), "Goal.until"),
         (lambda: Goal(budget_s=0.0), "Goal.budget_s"),
         (lambda: Goal(most=0), "Goal.most"),
+        (lambda: TrainedIndex(budget_s=0.0), "TrainedIndex.budget_s"),
     ],
 )
 def test_what_is_no_action_of_the_box_and_no_goal_is_named(call, field):

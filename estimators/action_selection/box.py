@@ -27,6 +27,8 @@ from testbed.objects.model import ObjectShape
 
 SIZE = 6
 """Parameters of an action: kind, grasp, x and y of a turn's center, motion, time."""
+ROUNDING = 1e-4
+"""Greatest distance beyond the arm of a center that stays there, so that a rounded one at the limit does [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +85,12 @@ class ActionBox:
         if made is Slide:
             return Slide(index, round(math.pi * motion, 4), duration=round(_between(time, SLIDE_DURATION), 1))
         position = self.shape.grasps[index].position
-        offset = self.reach * np.array([x, y]) - position
-        offset *= min(1.0, self.family.arm / max(float(np.linalg.norm(offset)), 1e-12))
-        pivot = (position + offset).round(4)
+        center = self.reach * np.array([x, y])
+        if np.linalg.norm(center.round(4) - position) > self.family.arm + ROUNDING:
+            center = position + (center - position) * (self.family.arm / np.linalg.norm(center - position))
+        pivot = center.round(4)
         slow, fast = np.radians(self.family.speed_deg_s)
-        speed = round(sign * (slow + abs(motion) * (fast - slow)), 4)
+        speed = float(round(sign * (slow + abs(motion) * (fast - slow)), 4))
         duration = round(_between(time, self.family.duration), 1)
         return Rotate(index, speed, duration, (float(pivot[0]), float(pivot[1])), not self.family.one_way)
 

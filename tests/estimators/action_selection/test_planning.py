@@ -328,6 +328,7 @@ def test_every_point_is_an_action_of_the_family():
             assert 6 - 0.01 <= abs(np.degrees(action.speed)) <= 12 + 0.01
             arm = np.linalg.norm(action.center(F2) - F2.grasps[action.grasp].position)
             assert arm <= whole.family.arm + 1e-4
+            assert whole.action(whole.point(action)) == action and type(action.speed) is float
 
 
 @pytest.mark.parametrize(

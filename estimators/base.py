@@ -146,11 +146,15 @@ class Estimate:
         """Masses of the groups [kg], then frictions, a row each: value and standard error.
 
         NaN where the method gives none; no rows without an answer.
+
+        Raises:
+            InvalidValueError: a shape with other numbers of groups.
         """
         import pandas  # noqa: PLC0415  it takes half a second, and few who import an Estimate print one
 
         if self.distribution is None:
             return pandas.DataFrame({"value": [], "error": [], "unit": []})
+        check_estimate("Estimate.table", self, shape)
         friction, errors = self.distribution.friction, (self.group_error(shape), self.friction_error())
         unknown = (np.full(shape.n_m, np.nan), np.full(shape.n_mu, np.nan))
         known = [found if given is None else given for given, found in zip(errors, unknown, strict=True)]

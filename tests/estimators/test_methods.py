@@ -23,7 +23,7 @@ from estimators.testing.conformance import (
     does_not_hide_that_trajectories_contradict_each_other,
     small_object,
 )
-from testbed import InvalidValueError, MassDistribution
+from testbed import InvalidValueError, MassDistribution, load_object
 
 
 def few_blocks(seed):
@@ -216,5 +216,7 @@ def test_masses_and_errors_are_those_of_whole_groups():
     assert mass is not None and error is not None
     assert_allclose(mass, obj.group_mass)
     assert_allclose(error, 2e-3 * count)
+    with pytest.raises(InvalidValueError, match=r"Estimate.table: got '6 masses, 1 frictions'; allowed: 2 and 2"):
+        known.table(load_object("hammer").shape)
     none = Estimate(None, "no_data")
     assert none.group_mass(obj.shape) is None and none.group_error(obj.shape) is None

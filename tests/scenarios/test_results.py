@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from estimators.base import Estimate
+from estimators.base import Estimate, robot_seconds
 from estimators.evaluation.statistics import axes_of
 from estimators.testing.analytic_world import turns
 from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
@@ -132,7 +132,10 @@ def test_an_answer_without_data_counts_the_trials_that_are_none():
     trials = [weighed(obj), good[0], replace(good[1], status="slipped"), replace(good[1], status="fault")]
     row = judge(obj, Estimate(None, "no_data", "no trajectory"), trials, [], None)
     assert row["message"] == "no trajectory (of 4 trials: 1 slipped, 1 fault)"
-    assert judge(obj, Estimate(None, "no_data", "none"), trials[:2], [], None)["message"] == "none"
+    late = replace(good[0], time_s=good[0].time_s + 5)
+    other = judge(obj, Estimate(None, "no_data", "none"), [trials[0], late], [], None)
+    assert other["message"] == "none"
+    assert other["robot_s"] == pytest.approx(robot_seconds([trials[0], good[0]])), "no time before a record counts"
 
 
 def without(file: Path, name: str) -> None:

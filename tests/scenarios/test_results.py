@@ -14,16 +14,15 @@ from estimators.testing.analytic_world import turns
 from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
 from scenarios.cli.main import main
 from scenarios.cli.run import status
-from scenarios.config import Scenario, Sweep, load_scenario
-from scenarios.results.estimates import load_results, load_trajectories, row_of
+from scenarios.config import Sweep
+from scenarios.results.estimates import row_of
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.results.table import rows_of, write_rows
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
-from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
 from scenarios.study.experiment import experiments_of
-from scenarios.study.run import run_scenario
+from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
 from tests.helpers.commands import ended, refusal
 from tests.helpers.runs import quiet
 from viz.report.tables import NAD, quantile_table

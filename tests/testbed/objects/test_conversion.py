@@ -20,7 +20,6 @@ from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
 from tests.helpers.commands import ended, refusal
-from testbed.objects.files import load_object
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
 HEAD, SHAFT = (0.04, 0.09, 0.03), (0.20, 0.03, 0.02)

@@ -238,7 +238,7 @@ def test_an_ambiguous_key_is_called_so(copied, capsys, option, field):
 def test_points_of_a_sweep_may_share_an_estimate(copied):
     rows = [row | {"axis.k": k} for k in (200, 400) for row in rows_of(load_results(copied))]
     write_rows(copied, rows)
-    found = row_of(copied, rows[0]["key"])
+    found = row_of(copied, str(rows[0]["key"]))
     assert (found["key"], found["axis.k"]) == (rows[0]["key"], 200)
 
 

@@ -74,16 +74,16 @@ def test_a_grasp_that_the_shape_does_not_have_is_refused(policy, grasp):
 
 
 @pytest.mark.parametrize(
-    "made",
+    ("made", "given"),
     [
-        *(partial(RankDriven, pivots=wrong) for wrong in ("3", 2.5, -1)),
-        partial(RankDriven, most=0),
-        *(partial(ActionFamily().sample, L2, [0], wrong, 0) for wrong in (1.5, "a", 0)),
+        *((RankDriven, {"pivots": wrong}) for wrong in ("3", 2.5, -1)),
+        (RankDriven, {"most": 0}),
+        *((partial(ActionFamily().sample, L2, [0], seed=0), {"count": wrong}) for wrong in (1.5, "a", 0)),
     ],
 )
-def test_a_number_that_is_no_count_is_refused(made):
+def test_a_number_that_is_no_count_is_refused(made, given):
     with pytest.raises(InvalidValueError, match="allowed: an integer >= "):
-        made()
+        made(**given)
 
 
 @pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L1", 2), ("F1", 2)])

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import csv
 import math
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -89,7 +90,10 @@ class Figures:
                     rows.append(_row(support, method, name, found, nad))
                 held = "" if claims is None else f"{100 * claims.held:.0f}"
                 rows.append(_row(support, method, "all", of_method, []) | {"hold": held})
-        return Figures(str(manifest.get("command")), tuple(rows))
+        words = shlex.split(str(manifest.get("command")))
+        if "--out" in words:  # a folder of its own
+            del words[(at := words.index("--out")) : at + 2]
+        return Figures(shlex.join(words), tuple(rows))
 
     @staticmethod
     def read(name: str) -> Figures:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -15,7 +16,7 @@ import trimesh
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
-from testbed.objects.blocks import Cell, layout_of
+from testbed.objects.blocks import MOST_ROWS, Cell, layout_of
 from testbed.objects.bodies import Box, Link, RigidBody, boxes_of, links_of
 from testbed.objects.chain import checked_torques
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -86,7 +87,7 @@ class Exported:
         for index, torque in enumerate(self.hinge_friction):
             off = "" if self.hinge_deviation is None else f" +- {self.hinge_deviation[index]:.2g}"
             lines.append(f"friction of hinge_{index}, N m: {torque:.4g}{off}")
-        return "\n".join(lines).replace("--", "- -")
+        return re.sub("-(?=-)", "- ", "\n".join(lines))  # no "--" within a comment of XML
 
 
 _STOPS = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5 2"}
@@ -133,7 +134,8 @@ def to_mjcf(exported: Exported, *, inertial: bool = False, scene: bool = False) 
         for box in link.boxes:
             said = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
             if box.friction is not None:
-                said["friction"] = _row([box.friction, 0.005, 0.0001])
+                # without priority MuJoCo takes the larger friction of two geoms: a floor's 1
+                said |= {"friction": _row([box.friction, 0.005, 0.0001]), "priority": "1"}
             SubElement(body, "geom", said, mass=_row([0.0 if inertial else box.mass]))
     return _text(root)
 
@@ -240,6 +242,11 @@ def to_object_file(exported: Exported) -> str:
         raise InvalidValueError("--format", "toml", allowed)
     corner = np.min([box.center for box in boxes], axis=0)
     places = [Cell(*np.rint((box.center - corner)[:2] / size).astype(int).tolist()) for box in boxes]
+    # a layout may begin with empty columns or rows: blocks keep their names
+    (column, row), first = places[0], shape.group_names[boxes[0].group]
+    shifts = product(range(MOST_ROWS), repeat=2)
+    right, up = next((each for each in shifts if Cell(column + each[0], row + each[1]).name == first), (0, 0))
+    places = [Cell(place.column + right, place.row + up) for place in places]
     order = sorted(range(len(boxes)), key=lambda i: (places[i].row, places[i].column))
     own = [shape.mass_group == boxes[i].group for i in order]
     blocks = {

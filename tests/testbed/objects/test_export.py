@@ -22,6 +22,7 @@ from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_rows
 from scenarios.results.trials import keys_of, kind_of_trial, read_trial
 from testbed import InvalidValueError, Rotate, SimulationRunner, Trial, load_object
+from testbed.objects.blocks import parse_layout
 from testbed.objects.bodies import AIR, RigidBody, boxes_of
 from testbed.objects.chain import Chain
 from testbed.objects.export import Exported, to_mjcf, to_object_file, to_sdf, to_sidecar, to_urdf
@@ -30,6 +31,7 @@ from testbed.objects.meshes import Part, mesh_object
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel
 from testbed.sensing.windows import steady_samples, wrench_in_object
 from tests.fakes.analytic_links import drawn_chain
+from tests.helpers.blocks import blocks
 from tests.helpers.commands import ended
 
 FREE = '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="{}"/></joint></robot>'
@@ -69,6 +71,18 @@ def test_in_a_scene_it_rests_on_the_floor(name):
         mujoco.mj_step(model, data)
     assert np.abs(data.qpos - [0, 0, 0, 1, 0, 0, 0]).max() < 2e-3 and np.abs(data.qvel).max() < 1e-2
     assert_allclose(data.qfrc_constraint[2], obj.total_mass * GRAVITY, rtol=0.01)
+    assert {float(contact.friction[0]) for contact in data.contact} == set(obj.truth.friction.tolist())
+
+
+@pytest.mark.parametrize("layout", [["010", "011"], ["110", "011", "000"]])
+def test_blocks_keep_their_names_beside_empty_columns_and_rows(layout, tmp_path):
+    cells = parse_layout(layout)
+    given = blocks(layout, [0.1 * (k + 1) for k in range(len(cells))])
+    (tmp_path / "back.toml").write_text(to_object_file(exported(given)))
+    back = load_object(tmp_path / "back.toml")
+    assert dict(zip(back.shape.group_names, back.group_mass, strict=True)) == pytest.approx(
+        dict(zip(given.shape.group_names, given.group_mass, strict=True))
+    )
 
 
 def folding() -> ObjectModel:
@@ -377,6 +391,7 @@ def test_what_is_not_observed_is_null_in_the_sidecar_and_said_in_comments():
     assert_allclose(said["inertia_about_center_kg_m2"], RigidBody.of(given.boxes).inertia)
     assert "A3: " in to_mjcf(given) or "+- inf" in to_mjcf(given)
     assert "by hand - - for a test" in to_urdf(given)
+    ElementTree.fromstring(to_urdf(replace(given, notes=("a part called a---b",))))
 
 
 @pytest.mark.slow

@@ -215,7 +215,7 @@ class Trajectory:
 
 _CAMERA = ("camera.time_s", "camera.poses")
 """Columns of a camera's frames: all in the first row, as lists, for their number is not that of the samples."""
-_CAMERA_ERRORS = ("position_std", "angle_std", "delay_std")
+_CAMERA_HEADER = ("parts", "position_std", "angle_std", "delay_std")
 
 
 def header_of(trajectory: Trajectory) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def header_of(trajectory: Trajectory) -> dict[str, Any]:
         "sensor_drift_std": trajectory.sensor_drift_std.tolist(),
         "setup": asdict(trajectory.setup),
         "tool": None if tool is None else {k: np.asarray(v).tolist() for k, v in asdict(tool).items()},
-        "camera": None if camera is None else {name: getattr(camera, name) for name in _CAMERA_ERRORS},
+        "camera": None if camera is None else {name: getattr(camera, name) for name in _CAMERA_HEADER},
     }
 
 
@@ -304,8 +304,14 @@ def _with_camera(table: pa.Table, camera: PoseStream | None) -> pa.Table:
     return table
 
 
-def _camera_of(table: pa.Table, errors: dict[str, float] | None) -> PoseStream | None:
-    if errors is None:
+def _camera_of(table: pa.Table, header: dict[str, Any] | None) -> PoseStream | None:
+    if header is None:
         return None
-    time, poses = (table.column(name)[0].values.to_numpy(zero_copy_only=False) for name in _CAMERA)
-    return PoseStream(time, poses.reshape(len(time), -1, 3), **errors)
+    return camera_of(header, *(table.column(name)[0].values.to_numpy(zero_copy_only=False) for name in _CAMERA))
+
+
+def camera_of(header: Mapping[str, Any], time_s: Float[np.ndarray, "F"], poses: Float[np.ndarray, "n"]) -> PoseStream:
+    """Frames of a camera by their header, in which records from before it was kept lack the number of parts."""
+    parts = header.get("parts", len(poses) // (3 * len(time_s)) if len(time_s) else 1)
+    errors = {name: header[name] for name in _CAMERA_HEADER if name != "parts"}
+    return PoseStream(time_s, poses.reshape(len(time_s), parts, 3), **errors)

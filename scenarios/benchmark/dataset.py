@@ -30,7 +30,7 @@ from testbed.files import write_whole
 from testbed.objects.files import ObjectFile
 from testbed.objects.model import ObjectModel
 from testbed.sensing.camera import PoseStream
-from testbed.trajectory import SERIES, Trajectory, header_of, trajectory_of
+from testbed.trajectory import SERIES, Trajectory, camera_of, header_of, trajectory_of
 
 SAMPLES = "data/chunk-000/file-000.parquet"
 PREFIX = "observation."
@@ -165,11 +165,8 @@ def truth_of(row: dict[str, Any]) -> Truth:
 
 
 def _camera_of(row: dict[str, Any]) -> PoseStream | None:
-    errors = json.loads(row["header"])["camera"]
-    if errors is None:
-        return None
-    time = np.array(row["camera_time_s"])
-    return PoseStream(time, np.array(row["camera_poses"]).reshape(len(time), -1, 3), **errors)
+    header = json.loads(row["header"])["camera"]
+    return None if header is None else camera_of(header, *map(np.array, (row["camera_time_s"], row["camera_poses"])))
 
 
 def trial_row(problem: str, number: int, episode: int, trajectory: Trajectory) -> dict[str, Any]:

@@ -21,6 +21,8 @@ SPAN = 0.8
 """Time whose frames it runs through [s]: 1 mm and 0.5 deg at 30 Hz leave some 1 mm/s and 0.5 deg/s."""
 LEAST_FRAMES = 7
 """Least frames that it runs through, and all that it takes of an exact camera."""
+LOST = 2.5
+"""Time between two frames, as a multiple of the median, from which frames were lost. Ours."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +111,11 @@ class PoseStream:
         return np.diff(self.poses[..., 2], axis=1)
 
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
-        """Poses at given times [s], of each part straight between the frames that saw it; for drawing."""
-        found = np.empty((len(times), self.parts, 3))
+        """Poses at given times [s], of each part straight between the frames that saw it, NaN without; for drawing."""
+        found = np.full((len(times), self.parts, 3), math.nan)
         for part, poses in enumerate(self.poses.transpose(1, 0, 2)):
-            seen = ~np.isnan(poses[:, 0])
-            found[:, part] = interpolated(times, self.time_s[seen], poses[seen])
+            if (seen := ~np.isnan(poses[:, 0])).any():
+                found[:, part] = interpolated(times, self.time_s[seen], poses[seen])
         return found
 
     def motion(
@@ -125,7 +127,8 @@ class PoseStream:
     ) -> SeenMotion:
         """Motion of a part at given times, by local polynomials through the frames nearby.
 
-        Rows are NaN where fewer than `LEAST_FRAMES` frames are near.
+        Rows are NaN where the stream has fewer than `LEAST_FRAMES` frames, outside it, and where frames were lost:
+        between two that are further apart than half a `SPAN` and than `LOST` times the usual.
 
         Args:
             times: times [s].
@@ -139,10 +142,11 @@ class PoseStream:
         seen = ~np.isnan(self.poses[:, part, 0]) & (self.time_s >= within[0]) & (self.time_s <= within[1])
         time, pose = self.time_s[seen], self.poses[seen, part]
         span = span or (SPAN if std.any() else 0.0)
-        count = len(times)
+        count, steps = len(times), np.diff(time)
+        lost = max(SPAN / 2, LOST * float(np.median(steps))) if len(steps) else 0.0
         value, noise = np.full((count, 3, 3), math.nan), np.full((count, 3, 3), math.nan)
         for index, at in enumerate(np.asarray(times, dtype=float)):
-            near = _nearest(time, at, span)
+            near = _nearest(time, at, span, lost)
             if len(near) < LEAST_FRAMES:
                 continue
             unit = max(float(np.abs(time[near] - at).max()), 1e-9)
@@ -173,13 +177,17 @@ class SeenMotion:
     """Effect of one standard deviation of the delay, which all rows share: it is in `covariance`."""
 
 
-def _nearest(time: np.ndarray, at: float, span: float) -> np.ndarray:
+def _nearest(time: np.ndarray, at: float, span: float, lost: float) -> np.ndarray:
     """Indices of the frames within half a `span` of a time, or of the nearest ones where these are too few.
 
-    Between the first and the last frame, or half a span outside; else none.
+    Between the first and the last frame, or half a span outside, and not between two that are more than `lost` apart;
+    else none.
     """
+    after, none = int(np.searchsorted(time, at)), np.empty(0, dtype=np.int64)
     if len(time) == 0 or not time[0] - SPAN / 2 <= at <= time[-1] + SPAN / 2:
-        return np.empty(0, dtype=np.int64)
+        return none
+    if 0 < after < len(time) and time[after] - time[after - 1] > lost:
+        return none
     away = np.abs(time - at)
     near = np.flatnonzero(away <= span / 2)
     return near if len(near) >= LEAST_FRAMES else np.sort(np.argsort(away, kind="stable")[:LEAST_FRAMES])

@@ -85,9 +85,10 @@ def _of_held(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
             f"it sees what is held {way * 1e3:.0f} mm and {math.degrees(turn):+.0f} deg from where the hand has it; "
             f"allowed: {APART[0] * 1e3:.0f} mm and {math.degrees(APART[1]):.0f} deg"
         )
-    # off = constant - delay * velocity + (scale - 1) * way, in units of the noise
+    # off = constant - delay * velocity + (scale - 1) * way, in units of the noise; no scale changes an angle
     std = _noise(camera)
-    columns = [np.tile(each, (len(time), 1)) for each in np.eye(3)] + [-speed, by_hand - by_hand[0]]
+    way = (by_hand - by_hand[0]) * [1.0, 1.0, 0.0]
+    columns = [np.tile(each, (len(time), 1)) for each in np.eye(3)] + [-speed, way]
     design = np.stack([(column / std).ravel() for column in columns], axis=1)
     (delay, delay_std), (scale, scale_std) = _fitted(design, (off / std).ravel())[3:]
     return _late(delay, delay_std, camera) or _scaled(scale, scale_std)

@@ -248,7 +248,8 @@ class Playback:
         self._in_space = _in_space(trajectory, obj.shape.height / 2)
         self._address = self.model.joint("object").qposadr[0]
         camera = trajectory.camera if obj.shape.chain is not None else None
-        self._links = None if camera is None else camera.at(trajectory.time_s)
+        links = None if camera is None else camera.at(trajectory.time_s)
+        self._links = None if links is None or np.isnan(links).any() else links  # a camera may not see all
         if self._links is not None:  # the first hangs on the free joint, each other one on the one before
             self._object = self._links[:, 0]
         self.show(0)

@@ -1,13 +1,15 @@
 """Tests of the camera: its draws, the motion between its frames, and its stream in a trajectory file."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from estimators.testing.analytic_world import record
-from testbed import InvalidValueError, draw_sensing, load_trajectory, preset, save_trajectory
+from estimators.testing.analytic_world import analytic_trial, record
+from testbed import InvalidValueError, Rotate, draw_sensing, load_object, load_trajectory, preset, save_trajectory
 from testbed.sensing.camera import CAMERAS, Camera, PoseStream, SeenMotion, draw_camera
+from testbed.sensing.seen import frame_mismatch
 
 TIME = np.arange(600) / 100
 
@@ -62,6 +64,28 @@ def test_a_stream_late_by_a_known_time_is_not_late():
     assert seen(late, 3).delay_std == 0
 
 
+@pytest.mark.parametrize(("lost", "seen_within"), [(0.3, True), (0.6, False)])
+def test_no_motion_is_seen_where_frames_were_lost(lost, seen_within):
+    stream = seen(CAMERAS["30hz"], 1)
+    kept = np.abs(stream.time_s - 3.0) > lost / 2
+    cut = replace(stream, time_s=stream.time_s[kept], poses=stream.poses[kept])
+    found = np.isfinite(cut.motion(np.array([2.0, 3.0, 4.0])).twist).all(axis=1)
+    assert found.tolist() == [True, seen_within, True]
+    sparse = PoseStream(TIME[::50], moved(TIME)[::50, :1])  # an even stream of 2 Hz lost nothing
+    assert np.isfinite(sparse.motion(np.array([3.2])).twist).all()
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, "^$"), (1.1, r"^its distances are \+1\d % off")])
+def test_a_turn_shows_another_scale_of_the_camera(scale, said):
+    shape, errors = load_object("L2").shape, np.array([1e-3, 1e-3, 0.009])
+    trial = analytic_trial(load_object("L2"), Rotate(0, duration=6.0, back=True))
+    noise = errors * np.random.default_rng(0).standard_normal(trial.object_pose.shape)
+    first = trial.object_pose[0]
+    poses = first + (trial.object_pose - first) * [scale, scale, 1.0] + noise
+    camera = PoseStream(trial.time_s, poses[:, None], errors[0], errors[2])
+    assert re.search(said, frame_mismatch(replace(trial, camera=camera), shape))
+
+
 def test_draws_lose_frames_and_differ_by_seed():
     one, again, other = (seen(CAMERAS["30hz"], seed) for seed in (1, 1, 2))
     assert np.array_equal(one.poses, again.poses, equal_nan=True) and not np.array_equal(one.time_s, other.time_s)
@@ -73,12 +97,13 @@ def test_a_trajectory_keeps_its_stream(tmp_path):
     clean = replace(record(600, provenance={"runner": "simulation"}), camera=PoseStream(TIME, moved(TIME)[:, :1]))
     drawn = draw_sensing(clean, preset("ft300s"), 4)
     assert drawn.camera is not None and drawn.camera.position_std == CAMERAS["30hz"].position
-    for whole in (clean, drawn, replace(clean, camera=None)):
+    none = PoseStream(np.zeros(0), np.zeros((0, 2, 3)))
+    for whole in (clean, drawn, replace(clean, camera=none), replace(clean, camera=None)):
         save_trajectory(whole, tmp_path / "trajectory.parquet")
         back = load_trajectory(tmp_path / "trajectory.parquet").camera
         assert (back is None) == (whole.camera is None)
         if back is not None and whole.camera is not None:
-            assert np.array_equal(back.poses, whole.camera.poses, equal_nan=True)
+            assert np.array_equal(back.poses, whole.camera.poses, equal_nan=True) and back.parts == whole.camera.parts
             assert (back.time_s == whole.camera.time_s).all() and back.delay_std == whole.camera.delay_std
     kept = draw_sensing(clean, preset("ft300s:camera=exact"), 4)
     assert kept.camera is clean.camera and (kept.sensor_wrench == drawn.sensor_wrench).all()

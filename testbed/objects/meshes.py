@@ -142,14 +142,14 @@ def mesh_object(
             "mesh.parts", f"lowest point at z = {lowest:.4g} m", f"resting on z = 0, to {TOUCH * 1e3:g} mm"
         )
     link = np.zeros(len(parts), dtype=int) if chain is None else chain.link
-    centers, group, touches, fill = _partition(parts, link, cell * 3 / grid)
-    coarse = centers if grid == 3 else _partition(parts, link, cell)[0]
+    centers, group, touches, fill = cells = _partition(parts, link, cell * 3 / grid)
+    of_default = cells if grid == 3 else _partition(parts, link, cell)
+    origin = of_default[0].mean(axis=0)
     if len(contacts):
         points = _checked_contacts(contacts, parts)
         near = group[cdist(points, centers).argmin(axis=1)]
-        for index, part in enumerate(parts):  # no foot stands under a cell: it need not be one of the grid's
-            own = group == index
-            centers[own] += part.mesh.center_mass[:2] - fill[own] @ centers[own]
+        # no foot stands under a cell: it need not be one of the grid's
+        centers, origin = _centered(parts, cells), _centered(parts, of_default).mean(axis=0)
         centers, group = np.vstack([centers, points]), np.append(group, near)
         touches = np.append(np.zeros(len(touches), dtype=bool), np.ones(len(points), dtype=bool))
         fill = np.append(fill, np.zeros(len(points)))
@@ -159,7 +159,6 @@ def mesh_object(
         raise InvalidValueError(
             "mesh.parts.friction_group", f"{sorted(missing)} without a foot", "a part that touches the table in each"
         )
-    origin = coarse.mean(axis=0)
     whole = joined([part.mesh for part in parts])
     sides = _sides([part.mesh for part in parts])
     shape = ObjectShape(
@@ -222,6 +221,13 @@ def _checked_contacts(contacts: Sequence[tuple[float, float]], parts: list[Part]
 
 Cells = tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]
 """Centers of particles in the mesh's x and y, the part of each, whether it touches, and how much of the part it is."""
+
+
+def _centered(parts: list[Part], cells: Cells) -> Float[np.ndarray, "n 2"]:
+    """Places of cells, those of each part moved until they have its center of mass, m."""
+    centers, group, _, fill = cells
+    moved = [part.mesh.center_mass[:2] - fill[group == g] @ centers[group == g] for g, part in enumerate(parts)]
+    return centers + np.array(moved)[group]
 
 
 def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> Cells:

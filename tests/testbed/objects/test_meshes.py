@@ -226,6 +226,18 @@ def test_a_hammer_lies_on_its_head_and_on_the_end_of_its_handle():
     assert x[~touches & ~head].min() < x[head].max() + shape.cell * 1.01
 
 
+@pytest.mark.parametrize("grid", [2, 6])
+def test_a_body_on_points_cut_finer_stays_in_its_frame(grid):
+    parts = [
+        Part("thick", box((0.093, 0.037, 0.02)), 0.4, 0),
+        Part("thin", trimesh.creation.icosphere(radius=0.01).apply_translation((0.11, 0.02, 0.02)), 0.1, 0),
+    ]
+    points = [(0.01, 0.005), (0.09, 0.005), (0.05, 0.035)]
+    made = [mesh_object("x", parts, [], friction=[0.4], cell=0.01, grid=g, contacts=points) for g in (3, grid)]
+    first, other = (each.shape.particles[each.shape.is_contact] for each in made)
+    assert_allclose(first, other, atol=1e-12)
+
+
 def test_a_tool_cut_finer_stays_in_its_frame():
     coarse, fine = tool("wrench"), tool("wrench", 6)
     assert_allclose(fine.center_of_mass, coarse.center_of_mass, atol=1e-12)

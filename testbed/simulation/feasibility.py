@@ -20,11 +20,10 @@ from testbed.objects.model import (
     ROBOTIQ_2F85,
     SPARE_OPENING,
     Grasp,
-    ObjectModel,
 )
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model
-from testbed.simulation.settings import MARGIN, SimulationSettings
+from testbed.simulation.settings import MARGIN, GripSettings, SimulationSettings
 from testbed.trial import Trial
 
 FLANGE_PAYLOAD = 4.0
@@ -61,17 +60,18 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
             needed = f"{LEAST_FACE * 1e3:.0f} mm of face above that"
         raise InfeasibleTrialError(f"grip: {what}; the pads, 3 mm over the table, need {needed}")
     _check_table(trial, motion, settings)
-    _check_rest(trial, settings)
+    loads = resting_loads(trial.object, trial.support, settings.contact)
+    _check_rest(trial, loads)
     if trial.action.in_air:  # it meets no friction, but holds the weight
         _check_lift(trial, grasp, motion, settings)
     else:
-        _check_drag(trial, grasp, motion, settings)
+        _check_drag(trial, _drags(trial, loads), grasp, motion, settings.grip)
     _check_speed(motion)
 
 
 def _check_push(trial: Trial, tip: Fingertip, motion: Motion, settings: SimulationSettings) -> None:
     """Refuse a push from amid an object, beyond the table's edge, or of too much drag."""
-    obj, shape = trial.object, trial.object.shape
+    shape = trial.object.shape
     trial.action.check_start(shape)
     # wherever it turns, it stays within its own reach of where the fingertip goes
     reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + tip.radius
@@ -82,8 +82,9 @@ def _check_push(trial: Trial, tip: Fingertip, motion: Motion, settings: Simulati
         raise InfeasibleTrialError(
             f"table: the object might pass the table's edge by {max(beyond) * 1e3:.0f} mm; push it less far"
         )
-    _check_rest(trial, settings)
-    _check_torques(motion, float(_drags(obj).sum()), 0.0)
+    loads = resting_loads(trial.object, trial.support, settings.contact)
+    _check_rest(trial, loads)
+    _check_torques(motion, float(_drags(trial, loads).sum()), 0.0)
 
 
 def _check_speed(motion: Motion) -> None:
@@ -109,12 +110,10 @@ def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> 
         )
 
 
-def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
+def _check_drag(trial: Trial, drags: np.ndarray, grasp: Grasp, motion: Motion, grip: GripSettings) -> None:
     """Refuse friction under the object beyond grip or joint torques."""
-    load, shape = _drags(trial.object), trial.object.shape
-    drag = float(load.sum())
-    torque = float(load @ np.linalg.norm(shape.particles - grasp.position, axis=1))
-    grip = settings.grip
+    drag = float(drags.sum())
+    torque = float(drags @ np.linalg.norm(trial.object.shape.particles - grasp.position, axis=1))
     if grip.mode == "friction":
         holds = {
             "drag": (drag, 2 * grip.force * min(grip.friction, 1.0), "N"),
@@ -130,15 +129,13 @@ def _check_drag(trial: Trial, grasp: Grasp, motion: Motion, settings: Simulation
     _check_torques(motion, drag, torque)
 
 
-def _drags(obj: ObjectModel) -> np.ndarray:
-    """Friction under every particle [N], shape (P,): a group's feet carry all of it."""
-    shape = obj.shape
-    friction = np.where(shape.friction_group >= 0, obj.truth.friction[np.maximum(shape.friction_group, 0)], 0.0)
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    return friction * (obj.group_mass / np.maximum(feet, 1))[shape.mass_group] * GRAVITY
+def _drags(trial: Trial, loads: np.ndarray) -> np.ndarray:
+    """Friction under every particle [N], shape (P,), by its load at rest [N]."""
+    of = trial.object.shape.friction_group
+    return np.where(of >= 0, trial.object.truth.friction[np.maximum(of, 0)], 0.0) * loads.clip(min=0.0)
 
 
-def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
+def _check_rest(trial: Trial, loads: np.ndarray) -> None:
     """Refuse a foot that would have to pull: with a lifted foot the loads' laws do not hold.
 
     An object whose masses are guessed does rest: it lies there.
@@ -146,7 +143,6 @@ def _check_rest(trial: Trial, settings: SimulationSettings) -> None:
     if not trial.object.masses_known:
         return
     shape = trial.object.shape
-    loads = resting_loads(trial.object, trial.support, settings.contact)
     feet = np.flatnonzero(shape.friction_group >= 0)
     worst = feet[loads[feet].argmin()]
     if loads[worst] < -1e-9 * loads[feet].mean():

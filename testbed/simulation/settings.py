@@ -55,6 +55,11 @@ class GripSettings:
     tcp_height: float = 0.022
     """Height of the TCP over the table while holding [m]: the pads clear the table by 3 mm."""
 
+    def __post_init__(self) -> None:
+        if self.mode not in ("friction", "weld"):
+            raise InvalidValueError("GripSettings.mode", self.mode, "friction or weld")
+        check_positive_fields(self, "force", "friction", "pad_damping", "friction_damping", "tcp_height")
+
 
 @dataclass(frozen=True)
 class ServoSettings:

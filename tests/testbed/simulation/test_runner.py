@@ -196,6 +196,13 @@ def test_the_same_trial_gives_the_same_record():
     assert np.array_equal(first.sensor_wrench, second.sensor_wrench)
 
 
+def bridge() -> ObjectModel:
+    """Two light blocks that carry two heavy ones between them, over the table."""
+    obj = row([0.3, 2.4, 2.4, 0.3])
+    touches = np.isin(obj.shape.mass_group, (0, 3))
+    return replace(obj, shape=replace(obj.shape, friction_group=np.where(touches, 0, -1)))
+
+
 def low_faces() -> ObjectModel:
     obj = load_object("hammer")
     return replace(obj, shape=replace(obj.shape, grasps=(replace(obj.shape.grasps[0], bottom=0.014, top=0.0165),)))
@@ -211,12 +218,14 @@ def low_faces() -> ObjectModel:
         (row([0.4, 0.4]), Rotate(0, speed=2.0), "friction", "speed: joint 7 "),
         (row([0.4, 0.4]), Slide(0, duration=30.0), "friction", "reach: "),
         (row([8.0, 8.0, 8.0, 8.0]), Rotate(0), "weld", r"torque: joint \d"),
+        (bridge(), Rotate(0), "friction", "grip: torque"),
     ],
-    ids=["too heavy", "too wide", "too low", "low faces", "too fast", "too far", "weak joint"],
+    ids=["too heavy", "too wide", "too low", "low faces", "too fast", "too far", "weak joint", "heavy bridge"],
 )
 def test_an_infeasible_trial_is_refused_before_anything_moves(obj, action, grip, why):
     with pytest.raises(InfeasibleTrialError, match=why):
-        SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action))
+        support = OWN_WEIGHT if obj.shape.stands_in_groups else RIGID
+        SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action, support))
 
 
 def test_a_trial_under_a_sensor_that_does_not_exist_is_refused():

@@ -132,10 +132,10 @@ def _recording(path: Path) -> tuple[str, Recording]:
     """Time of recording, if known, and header of a trajectory file, without its samples."""
     try:
         header = json.loads((pq.read_schema(path).metadata or {})[b"heft"])
-        action, provenance = header["action"], header["provenance"]
+        action, provenance = action_from_dict(header["action"]), header["provenance"]
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
         raise DamagedFileError(f"{path}: not a trajectory file: {error}") from None
-    recording = Recording(path, action_from_dict(action), _object_of(path, provenance), provenance.get("support"))
+    recording = Recording(path, action, _object_of(path, provenance), provenance.get("support"))
     return provenance.get("recorded", ""), recording
 
 

@@ -233,14 +233,15 @@ def _swings(
 
     Half a stretch speeds up, half a stretch slows down: with `swings` between, those two are not steady.
     """
-    half = max(round(math.sqrt(abs(end - begin) / acceleration) / step), 1)
+    stretch = math.sqrt(abs(end - begin) / acceleration)
+    half = max(round(stretch / step), 1)
     slope = (end - begin) / (half * step) ** 2  # the acceleration that fits whole ticks
     counts = [half, *[2 * half] * swings, half]
     angle, rate, found = begin, 0.0, []
     for i, count in enumerate(counts):
         sign = slope * (-1) ** i
         t = np.arange(1, count + 1) * step
-        steady = 0 < i <= swings or (not swings and half * step >= LEAST_STRETCH)
+        steady = 0 < i <= swings or (not swings and stretch >= LEAST_STRETCH - 1e-9)
         found.append((angle + rate * t + sign * t**2 / 2, rate + sign * t, sign, steady))
         angle, rate = found[-1][0][-1], found[-1][1][-1]
     return found

@@ -81,8 +81,9 @@ class Push(Action, kind="push"):
                 raise InvalidValueError(f"Push.{name}", value, "a finite number")
         if not SPEEDS[0] <= self.speed <= SPEEDS[1]:
             raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
-        if self.length < LEAST_LENGTH:
-            raise InvalidValueError("Push.length", self.length, f"at least {LEAST_LENGTH:g}, m")
+        least = max(LEAST_LENGTH, self.speed * (RAMP_TIME + LEAST_CONTACT * self.pace) - self.gap)
+        if self.length < least - 1e-9:
+            raise InvalidValueError("Push.length", self.length, f"at least {least:.3g}, m, at {self.speed:g} m/s")
 
     @classmethod
     def into(cls, face: Face, part: float = 0.5, angle: float = 0.0, curvature: float = 0.0) -> Self:

@@ -89,10 +89,11 @@ def tool_pulls(
 def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     """Linear and angular acceleration of the tool at the TCP [m/s^2, rad/s^2], world axes, shape (T, 6)."""
     twist = trajectory.tcp_velocity
-    rate = 1 / float(np.median(np.diff(trajectory.time_s)))
     window = min(11, len(twist) - 1 + len(twist) % 2)
-    rates = savgol_filter(twist, window, 2, deriv=1, delta=1 / rate, axis=0) if window > 2 else np.zeros_like(twist)
-    return np.asarray(rates)
+    if window < 3:
+        return np.zeros_like(twist)
+    step = float(np.median(np.diff(trajectory.time_s)))
+    return np.asarray(savgol_filter(twist, window, 2, deriv=1, delta=step, axis=0))
 
 
 def tare_time(trajectory: Trajectory) -> float:

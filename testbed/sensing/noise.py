@@ -54,7 +54,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         return replace(clean, sensor_wrench=wrench, wrench_on_object_world=wrench, provenance=provenance)
     if draw is not None:
         clean, sensing = as_measured(clean, draw), true_sensing(sensing, draw)
-    count, dt = len(clean.time_s), float(np.median(np.diff(clean.time_s)))
+    count = len(clean.time_s)
+    dt = float(np.median(np.diff(clean.time_s))) if count > 1 else 0.0
     noise_std = np.array([*sensing.force_noise, *sensing.torque_noise])
     white = rng.standard_normal((count, 6))
     white[1:] *= np.sqrt(1 - sensing.lag1**2)

@@ -357,6 +357,17 @@ def test_a_folder_without_records_or_with_a_stranger_among_them_is_refused(tmp_p
         ReplayRunner(tmp_path)
 
 
+def test_a_record_of_an_unknown_action_is_named(tmp_path: Path):
+    path = tmp_path / "a.parquet"
+    save_trajectory(record(), path)
+    table = pq.read_table(path)
+    header = json.loads(table.schema.metadata[b"heft"])
+    header["action"]["kind"] = "twist"
+    pq.write_table(table.replace_schema_metadata({"heft": json.dumps(header)}), path)
+    with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file: action\.kind: got 'twist'"):
+        ReplayRunner(tmp_path)
+
+
 def test_a_recording_is_described_in_numbers_of_four_digits():
     action = Rotate(grasp=4, duration=4.0, pivot=(-0.01666666666666667, 0.10833333333333334), back=True)
     said = Recording(Path(), action, "L2", None).description

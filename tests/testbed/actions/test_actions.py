@@ -102,7 +102,7 @@ REFUSED: list[tuple[type[Action], dict[str, object], str]] = [
     (Lift, {"hold": 0.0}, "Lift.hold"),
     (Lift, {"height": -1.0}, "Lift.height"),
     (Push, {"speed": 0.3}, "Push.speed"),
-    (Push, {"length": 0.0}, "Push.length"),
+    *((Push, {"length": length, "speed": speed}, "Push.length") for length, speed in ((0.0, 0.03), (0.035, 0.2))),
     (Push, {"curvature": math.nan}, "Push.curvature"),
     (Push, {"point": (1.0,)}, "Push.point"),
 ]

@@ -80,6 +80,15 @@ def test_it_holds_still_at_every_tilt_about_both_axes(swings):
     assert len(moves) >= 3 * (swings or 6)
 
 
+@pytest.mark.parametrize("rate", [96, 100, 110, 128])
+def test_its_stretches_are_the_same_at_any_rate(rate):
+    action = Lift.stop_and_go(0)
+    profile = action.sampled(1 / rate)
+    for segment in range(profile.segment.max() + 1):
+        moves = bool((profile.acceleration[profile.segment == segment] != 0).any())
+        assert moves == action.accelerates(segment)
+
+
 def test_it_goes_as_high_as_its_tilt_needs():
     shape = load_object("I2").shape
     steep = Lift(0, tilt=0.5, height=0.02)

@@ -85,6 +85,11 @@ def test_a_draw_is_its_seeds_and_an_ideal_one_changes_nothing(name: str):
         assert not np.isclose(first.wrench_on_object_world, other.wrench_on_object_world).any(axis=1).all()
 
 
+def test_a_record_of_one_sample_has_a_draw():
+    drawn = draw_sensing(record(1, tare=1), preset("ft300s"), seed=3)
+    assert len(drawn.time_s) == 1 and np.isfinite(drawn.sensor_wrench).all()
+
+
 def test_a_draw_says_that_it_was_drawn_and_not_which():
     told = {"runner": "simulation", "support": "rigid", "mujoco": "3"}
     drawn = draw_sensing(record(provenance=told), preset("ft300s"), seed=3)

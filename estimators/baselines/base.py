@@ -22,7 +22,7 @@ from estimators.base import Estimate, Trace, robot_seconds
 from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.evaluation.judged import misfit_on
-from estimators.identifiability.report import Identifiability
+from estimators.identifiability.report import Identifiability, hardly_known
 from estimators.particles.misfit import Misfit
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, ERRORS, SupportModel
@@ -223,19 +223,24 @@ class Baseline(ABC):
         assert misfit is not None
         left = math.sqrt(problem.unexplained(torch.tensor(found.mass), torch.tensor(found.friction)))
         rollouts = found.rollouts or sum(len(trace.loss) for trace in found.traces)
+        covariance = (
+            None if found.report is None else misfit.widening * found.report.covariance / np.outer(count, count)
+        )
         status, why = misfit.status, misfit.reason
         if not problem.scale_known:
             status, why = "underdetermined", "without M or an accelerated turn only mass times friction is observable"
         elif left > FAR_OFF:
             status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
             why += "the search is too short, or the trajectories contradict each other"
-        elif problem.shape.n_mu > 1 and (open_ := (found.report or problem.report(at)).ambiguity):
+        elif (found.report or problem.shape.n_mu > 1) and (open_ := (found.report or problem.report(at)).ambiguity):
             status, why = "underdetermined", open_
+        elif status == "ok" and covariance is not None and (loose := hardly_known(problem.shape, at.mass, covariance)):
+            status, why = "underdetermined", loose
         return Estimate(
             at,
             status,
             why,
-            None if found.report is None else misfit.widening * found.report.covariance / np.outer(count, count),
+            covariance,
             traces=tuple(replace(trace, robot_seconds=robot_seconds(trajectories)) for trace in found.traces),
             diagnostics={"loss": found.loss, "rollouts": float(rollouts), **misfit.diagnostics},
             assumes=ASSUMPTION[self._support],

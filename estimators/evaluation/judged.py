@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from estimators.base import Estimate
+from estimators.identifiability.report import hardly_known
 from estimators.particles.misfit import Misfit
 from estimators.posterior.estimator import posterior_of
-from estimators.posterior.posterior import loose_groups
 from estimators.wrench.model import ModelErrors
 from estimators.wrench.support import ASSUMPTION, JoinedSupport, SupportModel
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -37,7 +37,7 @@ MANY = 1_000_000
 def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]) -> Estimate:
     """The answer with its misfit, and another status than `ok` where its masses are not known or explain no trials.
 
-    `underdetermined` where its own covariance hardly tells a group from none (`loose_groups`), `unexplained` where the
+    `underdetermined` where its own covariance hardly tells a group from none (`hardly_known`), `unexplained` where the
     misfit is too large. A misfit that the method itself states counts: it may know of more than masses and friction.
     Otherwise it is computed on the support that `assumes` names, or on the one that fits better. Any other status
     stays.
@@ -65,15 +65,16 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
         found = min(filter(None, each), key=lambda misfit: misfit.value, default=None)
         answer = replace(answer, diagnostics=numbers | (found.diagnostics if found else {}))
     else:
-        found = Misfit(stated, int(numbers.get("misfit_freedom", MANY)))
+        freedom = numbers.get("misfit_freedom", MANY)
+        found = Misfit(stated, int(freedom) if math.isfinite(freedom) else MANY)
     if answer.status != "ok":
         return answer
     if found is not None and not found.explains:
         return _said(replace(answer, status=found.status), found.reason)
     if weight and (why := _beside_the_weight(answer, shape, weight, trajectories)):
         return _said(replace(answer, status="unexplained"), why)
-    loose = [] if answer.covariance is None else loose_groups(shape, at.mass, answer.covariance)
-    return _said(replace(answer, status="underdetermined"), f"hardly known: {', '.join(loose)}") if loose else answer
+    loose = "" if answer.covariance is None else hardly_known(shape, at.mass, answer.covariance)
+    return _said(replace(answer, status="underdetermined"), loose) if loose else answer
 
 
 def _said(answer: Estimate, why: str) -> Estimate:

@@ -119,7 +119,8 @@ class Claims:
     @staticmethod
     def of(rows: Iterable[Row]) -> Claims | None:
         """Claims of some answers; None where none of them claims errors of masses that are known."""
-        claimed = [row for row in rows if row.get("mass_error_kg") is not None and row.get("true_mass_kg") is not None]
+        needed = "mass_kg", "mass_error_kg", "true_mass_kg"
+        claimed = [row for row in rows if all(row.get(name) is not None for name in needed)]
         if not claimed:
             return None
         each = []

@@ -18,7 +18,7 @@ from estimators.hidden_states.equations import LinearSystem
 from estimators.hidden_states.friction import CONTRADICTORY, closed_form, descend_loads
 from estimators.hidden_states.masses import PivotInertia, fixed_rows, load_jacobian, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
-from estimators.identifiability.report import Identifiability, identifiability
+from estimators.identifiability.report import Identifiability, hardly_known, identifiability
 from estimators.particles.links import hinge_frictions
 from estimators.particles.observe import NO_DATA, NO_LINKS, ONE_BODY
 from estimators.wrench.model import ModelErrors
@@ -156,16 +156,18 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     at, count = _settled(trials, found), trials.shape.particles_per_group
     report = _report(trials, system, found.I_j, at)
     open_, q = report.unknowns - report.rank, system.q.numpy()
+    misfit = trials.misfit(at, s)
+    covariance = misfit.widening * report.covariance / np.outer(count, count)
+    loose = hardly_known(trials.shape, at.mass, covariance) if misfit.explains and not open_ else ""
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
-    misfit = trials.misfit(at, s)
     torque, std = trials.friction_equations(at).hinge_friction() or ((), ())
     hinges, unseen = hinge_frictions(torque, std, misfit.widening**0.5)
     return Estimate(
         at,
-        "underdetermined" if open_ else misfit.status,
-        "; ".join(filter(None, [directions if open_ else "", unseen, misfit.reason])),
-        covariance=misfit.widening * report.covariance / np.outer(count, count),
+        "underdetermined" if open_ or loose else misfit.status,
+        "; ".join(filter(None, [directions if open_ else loose, unseen, misfit.reason])),
+        covariance=covariance,
         hidden=found.H,
         identifiability=report,
         traces=found.traces,

@@ -18,6 +18,8 @@ from testbed.validation import frozen_array
 
 MOST_SETS = 4000
 """Greatest number of sets of unknowns that the search for sparse open directions tries."""
+LOOSE = 1 / 3
+"""Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 PART = 1e-3
 """Part of an open direction below which a group does not belong to it."""
 
@@ -116,6 +118,24 @@ def prior_masses(shape: ObjectShape, weight: float) -> Float[np.ndarray, "n_m n_
     part = count / count.sum()
     covariance = (np.diag(part) - np.outer(part, part)) / (shape.n_m + 1)
     return weight**2 * covariance / np.outer(count, count)
+
+
+def hardly_known(shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]) -> str:
+    """Groups whose masses are consistent with 0 and are not known much better than before any trial, in words.
+
+    Args:
+        shape: geometry and groups.
+        mass: particle masses, kg.
+        covariance: their covariance, kg^2.
+    """
+    count, masses = shape.particles_per_group, mass * shape.particles_per_group
+    errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
+    loose = [
+        f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
+        for g, name in enumerate(shape.group_names)
+        if errors[g] > max(LOOSE * before[g], masses[g])
+    ]
+    return f"hardly known: {', '.join(loose)}" if loose else ""
 
 
 def _sparse(rows: np.ndarray) -> np.ndarray:

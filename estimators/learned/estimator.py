@@ -15,12 +15,12 @@ import torch
 from jaxtyping import Float
 
 from estimators.base import Estimate, weighed
+from estimators.identifiability.report import hardly_known
 from estimators.learned.checkpoint import COMMAND, FALSE_ALARM, LEAST_FREEDOM, Checkpoint, default_path
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import MISFIT, SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
 from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
-from estimators.posterior.posterior import loose_groups
 from estimators.posterior.scale import Weighing
 from estimators.wrench.support import ASSUMPTION, ERRORS
 from testbed.errors import InvalidValueError
@@ -215,5 +215,4 @@ def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:
         return f"rank(Q) is {rank} and {shape.n_m} friction loads are unknown: turn about more points"
     assert answer.distribution is not None
     assert answer.covariance is not None
-    names = loose_groups(shape, answer.distribution.mass, answer.covariance)
-    return f"hardly known: {', '.join(names)}" if names else ""
+    return hardly_known(shape, answer.distribution.mass, answer.covariance)

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from estimators.base import Estimate
-from estimators.identifiability.report import identifiability, prior_masses
+from estimators.identifiability.report import hardly_known, identifiability
 from estimators.particles.links import hinge_frictions
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
 from estimators.posterior.on_table import WRENCHES, OnTable
@@ -31,8 +31,6 @@ CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
 """Nuisances, by name."""
 MOST_NUMBERS = 6
 """Numbers of a nuisance up to which each is reported."""
-LOOSE = 1 / 3
-"""Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
 SEEN = 1e-6
 """Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
 LEAST_SHOWN = 0.02
@@ -390,8 +388,8 @@ class Posterior:
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
         directions = report.ambiguity
-        if misfit.explains and not open_ and (loose := loose_groups(shape, at.mass, covariance)):
-            open_, directions = True, f"hardly known: {', '.join(loose)}"
+        if misfit.explains and not open_ and (loose := hardly_known(shape, at.mass, covariance)):
+            open_, directions = True, loose
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
         widening = misfit.widening**0.5
         frictions = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
@@ -464,22 +462,3 @@ class Posterior:
             return {}, ""
         torque, std = self.of("hinge_friction")
         return hinge_frictions(torque.tolist(), std.tolist(), widening)
-
-
-def loose_groups(
-    shape: ObjectShape, mass: Float[np.ndarray, "n_m"], covariance: Float[np.ndarray, "n_m n_m"]
-) -> list[str]:
-    """Groups whose masses are consistent with 0 and are not known much better than before any trial, in words.
-
-    Args:
-        shape: geometry and groups.
-        mass: particle masses, kg.
-        covariance: their covariance, kg^2.
-    """
-    count, masses = shape.particles_per_group, mass * shape.particles_per_group
-    errors, before = (np.sqrt(np.diag(each)) * count for each in (covariance, prior_masses(shape, masses.sum())))
-    return [
-        f"{name} {masses[g]:.3f} +- {errors[g]:.3f} kg"
-        for g, name in enumerate(shape.group_names)
-        if errors[g] > max(LOOSE * before[g], masses[g])
-    ]

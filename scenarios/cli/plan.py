@@ -74,7 +74,7 @@ def identify(
         out: heatmap of the standard errors in g, written as FILE.pdf and FILE.png.
     """
     from estimators.identifiability.information import Assumptions, expected
-    from estimators.posterior.posterior import loose_groups
+    from estimators.identifiability.report import hardly_known
     from testbed.objects.files import load_object
     from testbed.sensing.presets import preset
     from testbed.worlds.presets import world as world_of
@@ -95,9 +95,9 @@ def identify(
     if not model.shape.grasps and not pushes:
         console.print("no grasp fits the hand, so nothing turns: --pushes 12 has pushes")
     count = model.shape.particles_per_group
-    loose = loose_groups(model.shape, model.truth.mass, report.covariance / np.outer(count, count))
+    loose = hardly_known(model.shape, model.truth.mass, report.covariance / np.outer(count, count))
     if loose and report.rank == report.unknowns:
-        console.print(f"hardly known: {', '.join(loose)}")
+        console.print(loose)
     if out is not None:
         for path in save_figure(error_figure(model, report.standard_error, title), out):
             print(path)

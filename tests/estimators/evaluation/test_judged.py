@@ -20,8 +20,9 @@ from estimators.posterior.posterior import CAUSES
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
 from estimators.testing.recorded import KnownBlock, load_block
 from estimators.wrench.support import SupportModel
-from testbed import HeftError, MassDistribution, SetupErrors, world
+from testbed import HeftError, MassDistribution, Rotate, SetupErrors, world
 from tests.fakes.flawed_bench import held_beside, on_anisotropic_table, turns_beside
+from tests.helpers.lab import lab_trials
 
 known = cache(load_block)
 OWN, RIGID = known("I2-own_weight"), known("I2-rigid")
@@ -256,6 +257,23 @@ def test_a_wrong_trial_is_named(wrong, number):
     found = diagnosed(SHAPE, WEIGHT, trials)
     assert f"trial {number} does not agree with the others" in found.verdict
     assert found.without < 1.5
+
+
+def test_of_two_trials_that_contradict_each_other_none_is_named():
+    first, second = analytic_trial(OBJECT, Rotate(0)), analytic_trial(OBJECT, Rotate(1))
+    wrong = replace(first, wrench_on_object_world=1.2 * first.wrench_on_object_world)
+    found = diagnosed(OBJECT.shape, OBJECT.total_mass, [wrong, second])
+    assert not found.misfit.explains and found.odd_trial is None
+
+
+@pytest.mark.parametrize("method", ["hidden_states", "least_squares", "bayes"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_masses_that_are_hardly_known_are_underdetermined_as_in_a_sweep(method, seed):
+    obj = drawn_object(seed)
+    trials = lab_trials(obj, 3)
+    answer = METHODS_HELD[method].estimate(obj.shape, obj.total_mass, trials, 0)
+    assert answer.status == "underdetermined" and answer.message
+    assert judged(answer, obj.shape, obj.total_mass, trials).status == answer.status
 
 
 @pytest.mark.parametrize("wrong", [mirrored, regripped])

@@ -372,6 +372,7 @@ def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_an
     assert_allclose(found.ratio, np.sqrt((16 + 1 + 36) / 9))
     assert_allclose([found.held, found.silent], [7 / 9, 1 / 3])
     assert Claims.of(rows[3:]) is None
+    assert Claims.of([row("a", 0, 0.1, mass_kg=None, true_mass_kg=[0.1], mass_error_kg=[0.1])]) is None
     unseen = Claims.of([row("a", 0, 0.1, mass_kg=[0.2, 0.1], true_mass_kg=[0.1, 0.2], mass_error_kg=[None, 0.1])])
     assert unseen is not None and unseen.held == 1 and unseen.ratio == pytest.approx(0.5**0.5)
     table = claims_table(rows)

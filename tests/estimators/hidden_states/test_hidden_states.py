@@ -235,6 +235,14 @@ def test_a_trace_starts_from_uniform_mass_and_ends_at_the_estimate():
     assert_allclose(trace.mass[int(np.argmin(trace.loss))], found(answer).mass, rtol=1e-6)
 
 
+@pytest.mark.parametrize("method", [PUBLISHED, MINIMUM, HiddenStates()])
+def test_a_group_without_feet_is_one_rigid_body(method):
+    lifted = np.where(L2.shape.mass_group == 1, -1, L2.shape.friction_group)
+    obj = replace(L2, shape=replace(L2.shape, friction_group=lifted))
+    answer = method.estimate(obj.shape, obj.total_mass, turns(L2), 0)
+    assert answer.status == "assumption_violated" and "one rigid body" in answer.message
+
+
 @pytest.mark.slow
 def test_the_load_of_the_gripper_is_taken_off_where_asked():
     trials = trials_of(L2, **CARRIED)

@@ -154,16 +154,20 @@ def _without_one(
     support: SupportModel,
     fitted: Callable[[], None],
 ) -> Diagnosis:
-    """Diagnosis with the one trial without which all others agree, if there is one."""
+    """Diagnosis with the one trial without which all others agree, if there is one and no other would do."""
     if diagnosis.misfit.explains:
         return diagnosis
+    healed = dict[int, float]()
     for trial in diagnosis.trials:
         others = [each for place, each in enumerate(trajectories) if place != trial]
         left = posterior_of(shape, weight, others, support)
         fitted()
-        if left is not None and left.explained.by_chance and left.explained.value < diagnosis.without:
-            diagnosis = replace(diagnosis, odd_trial=trial, without=left.explained.value)
-    return diagnosis
+        if left is not None and left.explained.by_chance:
+            healed[trial] = left.explained.value
+    if len(healed) != 1:
+        return diagnosis
+    ((trial, value),) = healed.items()
+    return replace(diagnosis, odd_trial=trial, without=value)
 
 
 def _one_by_one(

@@ -48,6 +48,8 @@ SURE = 1e-6
 """Error of the angles by which a push is predicted [rad]."""
 CHUNK = 256
 """Trials that are worked on at once."""
+LEAST_SCALE = 1e-6
+"""Error of a perfect scale [kg]."""
 
 
 @dataclass(frozen=True)
@@ -136,9 +138,11 @@ def expected(
     """
     if not isinstance(sensing, Sensing):
         raise InvalidValueError("expected.sensing", sensing, 'a Sensing, such as heft.preset("ft300s")')
-    trials = predicted_information(shape, distribution, actions, sensing, assumptions or Assumptions())
-    setup = EXACT_SETUP if assumptions is None else assumptions.setup
-    return trials.report(shape, distribution, Weighing.of(shape, max(sensing.scale, 1e-6), setup))
+    assumptions = assumptions or Assumptions()
+    trials = predicted_information(shape, distribution, actions, sensing, assumptions)
+    of_model = 0.0 if assumptions.errors is None else assumptions.errors.weight_error
+    scale = max(sensing.scale, of_model, LEAST_SCALE)
+    return trials.report(shape, distribution, Weighing.of(shape, scale, assumptions.setup))
 
 
 def observed(

@@ -27,6 +27,7 @@ from estimators.identifiability.trailing import trailing_motions
 from estimators.posterior import table_errors
 from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import drawn_object, own_weight_loads, turns
+from estimators.wrench.model import ModelErrors
 from scenarios.cli.main import main
 from scenarios.cli.plan import actions_of
 from testbed import Accelerate, Action, Lift, Push, Rotate, Slide, Trajectory, Weigh, load_object, world
@@ -131,6 +132,14 @@ def test_a_better_sensor_and_more_trials_show_more():
         for name, count in (("ideal", 1), ("low", 1), ("high", 1), ("ft300s", 1), ("ft300s", 2))
     )
     assert (ideal < low).all() and (low < high).all() and (twice < usual).all()
+
+
+def test_the_weighing_is_as_good_as_assumed():
+    rough = Assumptions(errors=replace(ModelErrors(), weight_error=0.05))
+    count, given = L2.shape.particles_per_group, (L2.shape, L2.truth, all_turns(L2), preset("ft300s"))
+    usual, told = (expected(*given, assumptions) for assumptions in (None, rough))
+    of_whole = [float(np.sqrt(np.ones(len(count)) @ each.covariance @ np.ones(len(count)))) for each in (usual, told)]
+    assert of_whole[0] < 0.002 and of_whole[1] > 0.01
 
 
 def test_a_plan_says_what_the_trials_then_say():

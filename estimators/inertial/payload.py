@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from estimators.inertial.lifts import lift_equations
 from estimators.inertial.parts import ellipsoid_of
 from estimators.inertial.semidefinite import consistent_inertia
 from estimators.particles.lifts import lifts_among
+from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.trajectory import Trajectory
@@ -36,23 +37,35 @@ class Payload:
     """The best body of positive density; its inertia is NaN where nothing shows it."""
     draws: tuple[InertialParameters, ...]
     """Bodies as likely as the data make them."""
+    grasp: str = ""
+    """Grasp by which it is held; empty where it is not an object's."""
 
     @staticmethod
-    def of_lifts(shape: ObjectShape, trajectories: Sequence[Trajectory], *, with_tool: bool = False) -> Payload:
-        """Payload of an object from its lifts, in the grasp and the sensor's frame of the first of them.
+    def of_lifts(
+        shape: ObjectShape, trajectories: Sequence[Trajectory], *, with_tool: bool = False, grasp: str | None = None
+    ) -> Payload:
+        """Payload of an object from its lifts, in the sensor's frame of the first of them by one grasp.
 
         Args:
             shape: geometry.
             trajectories: trials; all but lifts that ended well are left out.
             with_tool: True adds the tool below the sensor, as the trials state it.
+            grasp: name of the grasp; None where all lifts are by the same.
 
         Raises:
-            InvalidValueError: no lift that ended well.
+            InvalidValueError: no lift that ended well, none by that grasp, or several grasps and none named.
             HeftError: no physically consistent body explains the lifts.
         """
         lifts = [each for each in trajectories if each.action.in_air and each.ok]
-        found = consistent_inertia(lift_equations(shape, lifts), ellipsoid_of(shape))
-        first, (window, *_) = next(iter(lifts_among(shape, lifts).items()))
+        equations = lift_equations(shape, lifts)
+        of = lifts_among(shape, lifts).items()
+        names = list(dict.fromkeys(shape.grasps[window.grasp].name for _, (window, *_) in of))
+        if grasp not in names and (grasp is not None or len(names) > 1):
+            allowed = f"{', '.join(names)}: a grasp of the lifts; it decides the payload's frame"
+            raise InvalidValueError("grasp", grasp, allowed)
+        held = grasp or names[0]
+        first, window = next((i, window) for i, (window, *_) in of if shape.grasps[window.grasp].name == held)
+        found = consistent_inertia(equations, ellipsoid_of(shape))
         tool = lifts[first].tool
         assert tool is not None
         axes = window.from_sensor[:3, :3]
@@ -63,7 +76,8 @@ class Payload:
             in_sensor = body.moved(axes, tcp - axes @ tool.tcp)
             return InertialParameters.of_vector(in_sensor.vector + beside)
 
-        return Payload(carried(found.parameters), tuple(carried(InertialParameters.of_vector(d)) for d in found.draws))
+        drawn = tuple(carried(InertialParameters.of_vector(d)) for d in found.draws)
+        return Payload(carried(found.parameters), drawn, held)
 
     @staticmethod
     def of_poses(calibration: Calibration) -> Payload:
@@ -77,7 +91,7 @@ class Payload:
     def on_flange(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> Payload:
         """The payload in a frame in which the present one has axes `rotation` (columns) and an `origin`, m."""
         into = rotation.T, -rotation.T @ origin
-        return Payload(self.parameters.moved(*into), tuple(each.moved(*into) for each in self.draws))
+        return replace(self, parameters=self.parameters.moved(*into), draws=tuple(d.moved(*into) for d in self.draws))
 
     def interval(self, name: str) -> Float[np.ndarray, "2 ..."]:
         """Ends of the 90 % interval of `mass`, `center_of_mass` or `inertia`."""

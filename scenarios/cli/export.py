@@ -101,6 +101,7 @@ def payload(
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="OBJECT")] = None,
     *,
     format_: Annotated[Literal["json", "franka", "ur", "kortex"], tyro.conf.arg(name="format")] = "json",
+    grasp: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     with_tool: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     flange: Annotated[tuple[float, float, float, float], tyro.conf.arg(metavar="X Y Z DEG")] = (0.0, 0.0, 0.0, 0.0),
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -118,6 +119,7 @@ def payload(
         source: results folder with lifts, or calibration file.
         name: object, if the folder has lifts of several.
         format_: json: all numbers; franka: arguments of setLoad; ur: a line of URScript; kortex: a ToolConfiguration.
+        grasp: grasp by which the payload is held, if the object was lifted by several.
         with_tool: with lifts, add the tool below the sensor as stated by the trials.
         flange: position of the sensor frame in the flange frame [m], and its rotation about z [deg].
         out: output file; default: print.
@@ -130,11 +132,13 @@ def payload(
     from testbed.robot.calibration.file import load_calibration
 
     if source.is_dir():
-        found = _lifted(source, name, with_tool=with_tool)
+        found = _lifted(source, name, grasp, with_tool=with_tool)
     elif not source.exists():
         raise InvalidValueError("DIR|FILE.toml", source, "a folder with lifts, or a file of heft calibrate")
-    elif with_tool or name is not None:
-        raise InvalidValueError("FILE.toml", source, "a folder with lifts: OBJECT and --with-tool are of lifts")
+    elif with_tool or name is not None or grasp is not None:
+        raise InvalidValueError(
+            "FILE.toml", source, "a folder with lifts: OBJECT, --grasp and --with-tool are of lifts"
+        )
     else:
         found = Payload.of_poses(load_calibration(source))
     found = found.on_flange(rotation_z(math.radians(flange[3])), np.array(flange[:3]))
@@ -142,6 +146,8 @@ def payload(
     place = ", ".join(f"{1e3 * value:.1f}" for value in body.center_of_mass)
     low, high = (", ".join(f"{1e3 * value:.1f}" for value in end) for end in found.interval("center_of_mass"))
     print(f"mass {body.mass:.4f} kg [{mass[0]:.4f}, {mass[1]:.4f}], center ({place}) mm [({low}), ({high})]")
+    if found.grasp:
+        print(f"held by grasp {found.grasp}")
     if found.undetermined:
         print(f"not determined: {', '.join(found.undetermined)}")
     text = FORMATS[format_](found)
@@ -152,11 +158,11 @@ def payload(
     print(out)
 
 
-def _lifted(folder: Path, name: str | None, *, with_tool: bool) -> Payload:
+def _lifted(folder: Path, name: str | None, grasp: str | None, *, with_tool: bool) -> Payload:
     """Payload of an object from the lifts of a folder."""
     from estimators.inertial.payload import Payload
     from scenarios.results.store import Store
-    from scenarios.results.trials import keys_of, kind_of_trial, read_trial, sensed_trials
+    from scenarios.results.trials import keys_of, kind_of_trial, read_trial, recorded_order, sensed_trials
     from scenarios.views.values import sensing_of
 
     records = [read_trial(folder, key) for key in keys_of(folder) if kind_of_trial(folder, key) == "lift"]
@@ -166,9 +172,9 @@ def _lifted(folder: Path, name: str | None, *, with_tool: bool) -> Payload:
     if (name is None and len(names) > 1) or name not in (None, *names):
         raise InvalidValueError("OBJECT", name, f"one of {', '.join(names)}{nearest(name or '', names)}")
     chosen = [record for record in records if record.object.name == (name or names[0])]
-    keys = tuple(record.folder.name for record in chosen)
+    keys = tuple(record.folder.name for record in sorted(chosen, key=recorded_order))
     trials = sensed_trials(Store(folder), keys, sensing_of(folder), 0)
-    return Payload.of_lifts(chosen[0].object.shape, trials, with_tool=with_tool)
+    return Payload.of_lifts(chosen[0].object.shape, trials, with_tool=with_tool, grasp=grasp)
 
 
 def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:

@@ -241,7 +241,12 @@ def measured_records(root: Path) -> list[TrialRecord]:
             key = trial.folder.name[:8]
             allowed = f"a folder of measured trials, but {key} is simulated: heft run asks about these"
             raise InvalidValueError("DIR", str(root), allowed)
-    return sorted(trials, key=lambda t: (t.trajectory.provenance.get("recorded", ""), t.folder.name))
+    return sorted(trials, key=recorded_order)
+
+
+def recorded_order(trial: TrialRecord) -> tuple[str, str]:
+    """Time at which a trial was recorded, empty of a simulated one, and its key: trials sort by these."""
+    return trial.trajectory.provenance.get("recorded", ""), trial.folder.name
 
 
 def is_weighed(root: Path, name: str) -> bool:

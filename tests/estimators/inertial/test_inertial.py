@@ -37,8 +37,10 @@ from testbed.frames import rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY, Solid
 from testbed.robot.calibration.file import save_calibration
 from testbed.robot.calibration.static_poses import Calibration
+from testbed.simulation.settings import GripSettings, SimulationSettings
 from tests.fakes.lifted_world import lifted
 from tests.helpers.blocks import blocks
+from tests.helpers.simulated import put_trial
 
 FT300S, IDEAL = preset("ft300s"), preset("ideal")
 DT = 0.01
@@ -281,6 +283,26 @@ def test_a_lift_without_a_tare_is_left_out(lift):
     no_tare = replace(lift, phase=np.where(lift.mask(Phase.TARE), Phase.APPROACH, lift.phase))
     found, usual = (Payload.of_lifts(L2.shape, lifts).parameters for lifts in ([no_tare, lift], [lift]))
     assert np.array_equal(found.vector, usual.vector)
+
+
+def test_one_grasp_decides_the_frame(lift):
+    other = replace(lift, action=replace(lift.action, grasp=1))
+    with pytest.raises(InvalidValueError, match="grasp: got None; allowed: C1, A2: a grasp of the lifts"):
+        Payload.of_lifts(L2.shape, [other, lift])
+    with pytest.raises(InvalidValueError, match="grasp: got 'B9'; allowed: A2: a grasp of the lifts"):
+        Payload.of_lifts(L2.shape, [lift], grasp="B9")
+    assert Payload.of_lifts(L2.shape, [lift]).on_flange(np.eye(3), np.zeros(3)).grasp == "A2"
+
+
+def test_a_payload_is_of_the_grasp_named(tmp_path, capsys):
+    for grasp in (1, 2):
+        put_trial(tmp_path, "L2", Lift(grasp), RIGID, SimulationSettings(grip=GripSettings(mode="weld")))
+    with pytest.raises(SystemExit):
+        main(["payload", str(tmp_path)])
+    assert "grasp: got None; allowed: " in capsys.readouterr().err
+    for name in ("C1", "A2"):
+        main(["payload", str(tmp_path), "--grasp", name])
+        assert f"held by grasp {name}" in capsys.readouterr().out
 
 
 def test_the_tool_is_added(lift):

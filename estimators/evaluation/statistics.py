@@ -44,12 +44,16 @@ class Summary:
 
 
 def axis_columns(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of a row for the swept settings; a table of settings becomes words."""
-    return {f"{AXIS}{name}": _in_words(value) if isinstance(value, dict) else value for name, value in axes.items()}
+    """Columns of a row for the swept settings; a table of settings and a list become words, a list of one its item."""
+    return {f"{AXIS}{name}": _in_words(value) for name, value in axes.items()}
 
 
-def _in_words(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} = {value}" for name, value in settings.items()) or "none"
+def _in_words(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return _in_words(value[0]) if len(value) == 1 else ", ".join(map(str, value)) or "none"
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {each}" for name, each in value.items()) or "none"
+    return value
 
 
 def axes_of(rows: Sequence[Row]) -> list[str]:

@@ -112,9 +112,8 @@ def _counts(table: pa.Table) -> dict[str, pa.ChunkedArray]:
 
 def _of_one_kind(column: list[Any]) -> list[Any]:
     """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
-    kept = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in column]
-    kinds = {str if isinstance(v, str) else float for v in kept if isinstance(v, (str, int, float)) and not _missing(v)}
-    return [v if _missing(v) else str(v) for v in kept] if len(kinds) > 1 else column
+    kinds = {isinstance(v, str) for v in column if not _missing(v)}
+    return [v if _missing(v) else str(v) for v in column] if len(kinds) > 1 else column
 
 
 def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:

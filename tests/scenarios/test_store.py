@@ -18,6 +18,7 @@ import rerun.blueprint as rrb
 from numpy.testing import assert_array_equal
 
 from estimators.base import Estimate, HiddenStateEstimate, Trace
+from estimators.evaluation.statistics import axis_columns, axis_values
 from estimators.identifiability.report import identifiability
 from scenarios.cli.main import main
 from scenarios.results.estimates import load_estimate, load_results, load_rows
@@ -65,10 +66,17 @@ def test_keys_of_many_seeds_are_those_of_each():
 
 
 def test_a_swept_setting_of_words_and_numbers_is_kept_in_words(tmp_path):
-    rows = [{"axis.support": value, "nad": 0.1} for value in (["own_weight"], [10], [1000.0], ["rigid"], None)]
-    kept = write_rows(tmp_path, rows)["axis.support"]
+    swept = (["own_weight"], [10], [1000.0], ["rigid"], ["own_weight", "rigid"], [])
+    rows = [axis_columns({"support": value}) | {"nad": 0.1} for value in swept]
+    kept = write_rows(tmp_path, [*rows, {"axis.support": None, "nad": 0.1}])["axis.support"]
     assert list(pd.read_parquet(tmp_path / "results.parquet")["axis.support"].dropna()) == list(kept.dropna())
-    assert list(kept)[:4] == ["own_weight", "10", "1000.0", "rigid"]
+    words = ["own_weight", "10", "1000.0", "rigid", "own_weight, rigid", "none"]
+    assert list(kept)[:6] == axis_values(rows_of(kept.to_frame()), "axis.support") == words
+
+
+def test_a_swept_list_of_one_is_its_item():
+    assert list(axis_columns({"a": [["low"]], "b": [2], "c": [{"n": 1}], "d": (1, 2)}).values()) == [
+        "low", 2, "n = 1", "1, 2"]  # fmt: skip
 
 
 def test_a_row_of_the_last_table_is_taken_while_the_files_of_its_estimate_stay_as_they_were_read(tmp_path):

@@ -263,8 +263,13 @@ class Scenario(Strict):
         """The scenario with the command line's changes.
 
         Raises:
-            InvalidValueError: fewer than one seed, or an unknown method or world.
+            InvalidValueError: fewer than one seed, an unknown method or world, or a field that [sweep] sets.
         """
+        given = {"seeds": seeds, "objects": objects, "random": objects, "methods": methods, "world": world}
+        for field, value in (given | {"world.preset": world}).items():
+            if value and field in self.sweep.axes:
+                option = {"random": "objects", "world.preset": "world"}.get(field, field)
+                raise InvalidValueError(f"--{option}", value, f"none: [sweep] sets {field} in this scenario")
         if seeds is not None and seeds < 1:
             raise InvalidValueError("--seeds", seeds, "an integer >= 1")
         changes: dict[str, object] = {} if seeds is None else {"seeds": seeds}

@@ -48,6 +48,22 @@ def test_a_methods_setting_can_be_swept():
 
 
 @pytest.mark.parametrize(
+    ("axis", "values", "option", "value"),
+    [
+        ("world.preset", ["ideal", "lab"], "world", "rough"),
+        ("seeds", [1, 2], "seeds", 3),
+        ("objects", [["L1"], ["L2"]], "objects", ["F1"]),
+        ("random", [[{"name": "a", "count": 2}]], "objects", ["F1"]),
+        ("methods", [{"bayes": {}}], "methods", ["bayes"]),
+    ],
+)
+def test_an_option_of_a_swept_field_is_refused(axis, values, option, value):
+    scenario = Scenario.model_validate({"objects": ["I1"], "sweep": {"axes": {axis: values}}})
+    with pytest.raises(InvalidValueError, match=rf"--{option}: got .*; allowed: none: \[sweep\] sets {axis} "):
+        scenario.changed(**{option: value})
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"sensing": ["best"]}, "sensing.*got 'best'; allowed: one of ideal, ft300s"),

@@ -22,6 +22,7 @@ from viz.figures.loss import normalised
 from viz.report.report import inline_svg, mapped_objects, middle_object
 from viz.report.tables import (
     HINGES,
+    hidden_table,
     metric_table,
     metrics_of,
     object_means,
@@ -311,3 +312,16 @@ def test_methods_that_know_no_hinges_have_no_row_of_them():
     for table in (metric_table(rows, HINGES, ""), over_objects(rows, HINGES, "")):
         assert [labels for labels, _ in table.rows] == [("hidden_states",)]
     assert len(metric_table(rows, NAD_METRIC, "").rows) > 1
+
+
+def test_hidden_states_have_a_row_a_label():
+    one = [row("hidden_states", 0, 0.1, com_error_m=0.001, inertia_error=0.02, unobserved="")]
+    two = [row("gradient", 0, 0.1, kind="hidden_states", com_error_m=0.003, inertia_error=0.04, unobserved="")]
+    words = [(labels, cells[0].text) for labels, cells in hidden_table([*one, *two], ["L2"]).rows]
+    assert words == [
+        (("c, mm, ft300s, hidden_states",), "1.00"),
+        (("c, mm, ft300s, gradient",), "3.00"),
+        (("I_cm, %, ft300s, hidden_states",), "2.00"),
+        (("I_cm, %, ft300s, gradient",), "4.00"),
+    ]
+    assert [labels for labels, _ in hidden_table(one, ["L2"]).rows] == [("c, mm, ft300s",), ("I_cm, %, ft300s",)]

@@ -116,7 +116,7 @@ class Claims:
     ratio: float
     """Root mean square of error over claimed error."""
     held: float
-    """Part of the 90 % intervals that hold the true mass."""
+    """Part of the 90 % intervals that hold the true mass; an error without bound counts as held."""
     silent: float
     """Part of the answers with status ok and a group off by more than SILENT claimed errors."""
 

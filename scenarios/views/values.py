@@ -14,12 +14,20 @@ from scipy.spatial import KDTree
 
 from estimators.evaluation.statistics import AXIS, Row, axes_of, select
 from estimators.particles.wrench import predicted_wrenches
-from scenarios.results.estimates import load_arrays, load_estimate, this_version
+from scenarios.results.estimates import load_arrays, load_estimate, load_results, this_version
 from scenarios.results.files import read_manifest
 from scenarios.results.store import Store
-from scenarios.results.table import has_files
-from scenarios.results.trials import TrialRecord, kind_of_trial, read_trial, sensed_trials, trials_behind
+from scenarios.results.table import TABLE, has_files, rows_of
+from scenarios.results.trials import (
+    TrialRecord,
+    kind_of_trial,
+    read_trial,
+    sensed,
+    sensed_trials,
+    trials_behind,
+)
 from testbed.errors import InvalidValueError
+from testbed.files import unless_damaged
 from testbed.foot_forces import FootForces, load_foot_forces
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.sensing.push_windows import window_samples
@@ -48,7 +56,7 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
     Args:
         folder: results folder.
         key: whole, or a beginning that no other has.
-        seed: of the draw.
+        seed: of the draw; another one where methods were given the trial with others alone.
         meshes: dress the arm in its own meshes where the extra "meshes" is installed.
 
     Raises:
@@ -58,13 +66,27 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
     record = read_trial(folder, key)
     trajectory, sensor = record.trajectory, "as measured"
     if trajectory.simulated:
-        sensing = sensing_of(folder)
-        trajectory = sensed_trials(Store(folder), (record.folder.name,), sensing, seed)[0]
-        sensor = f"{sensing}, draw {seed}"
+        whole, sensing = record.folder.name, sensing_of(folder)
+        row = _given(folder, whole, sensing, seed)
+        index, sensor = 0, f"{sensing}, an example draw"
+        if row is not None:
+            index, sensing, seed = list(row["trial_keys"]).index(whole), row["sensing"], int(row["seed"])
+            sensor = f"{sensing}, draw {seed}"
+        trajectory = sensed(trajectory, sensing, seed, index, whole, Store(folder).secret)
     model = record.object.truth if trajectory.simulated else None
     apart = record.object.shape.stands_in_groups
     called = f"the true masses, {'each on its own weight' if apart else 'one rigid body'}"
     return recorded_view(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
+
+
+def _given(folder: Path, key: str, sensing: str, seed: int) -> Row | None:
+    """Row of an estimate from a trial, by this sensor and draw where there is one; None without a table of results."""
+    if not (folder / TABLE).is_file():
+        return None
+    frame = unless_damaged(lambda: load_results(folder), "an example draw is shown")
+    rows = [] if frame is None else rows_of(frame.reindex(columns=["trial_keys", "sensing", "seed"]))
+    of = [row for row in rows if row["trial_keys"] is not None and key in row["trial_keys"]]
+    return min(of, key=lambda row: (row["sensing"] != sensing, row["seed"] != seed), default=None)
 
 
 def recorded_view(

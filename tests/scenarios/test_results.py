@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from rich.console import Console
 
 from estimators.base import Estimate, robot_seconds
@@ -15,13 +16,15 @@ from scenarios import Scenario, load_results, load_scenario, load_trajectories, 
 from scenarios.cli.main import main
 from scenarios.cli.run import status
 from scenarios.config import Sweep
-from scenarios.results.estimates import row_of
+from scenarios.results.estimates import load_rows, row_of
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.results.table import rows_of, write_rows
+from scenarios.results.trials import trials_behind
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.experiment import experiments_of
+from scenarios.views.values import trial_view
 from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
 from tests.helpers.commands import ended, refusal
 from tests.helpers.runs import quiet
@@ -119,6 +122,16 @@ def test_status_counts_what_is_there_what_failed_and_what_is_no_data(copied, cap
     assert "ValueError: it broke" in again
     with pytest.raises(InvalidValueError, match=r"manifest\.json"):
         status(copied / "trials")
+
+
+def test_a_trial_is_viewed_as_a_method_was_given_it(copied):
+    row = next(row for row in load_rows(copied) if row["sensing"] == "ft300s" and row["seed"] == 1)
+    given, key = trials_behind(copied, row)[2], row["trial_keys"][2]
+    view = trial_view(copied, key, seed=1, meshes=False)
+    assert_array_equal(view.trajectory.wrench_on_object_world, given.wrench_on_object_world)
+    assert view.facts["sensing"] == "ft300s, draw 1"
+    (copied / "results.parquet").unlink()
+    assert trial_view(copied, key, meshes=False).facts["sensing"] == "ft300s, an example draw"
 
 
 def weighed(obj: ObjectModel) -> Trajectory:

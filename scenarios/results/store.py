@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimators.base import Estimate
-from scenarios.results.files import inside, read_json, read_manifest, write_json
+from scenarios.results.files import errors_left, inside, read_json, read_manifest, write_json
 from scenarios.results.marks import ESTIMATE, Marks, mark_of
 from testbed.files import UNSEALED, load_sealed, remove_leftovers, unless_damaged, write_sealed, write_text
 from testbed.foot_forces import FootForces, save_foot_forces
@@ -250,6 +250,12 @@ class Store:
     def put_error(self, stage: str, key: str, text: str) -> None:
         """Write why one of the "trials" or "estimates" failed; it stays undone, and the next run tries again."""
         write_text(inside(self.root, stage, key, "error.txt"), text)
+
+    def remove_errors(self, stage: str, but: Collection[str]) -> None:
+        """Remove the errors of "trials" or "estimates" with other keys than these, which a finished run has not."""
+        for path in errors_left(self.root, stage):
+            if path.parent.name not in but:
+                inside(self.root, stage, path.parent.name, path.name).unlink()
 
     def remove_leftovers(self) -> None:
         """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""

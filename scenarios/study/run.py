@@ -97,6 +97,8 @@ def carry_out(
         for index, experiment in enumerate(left_out):
             table.add((len(scenario.sensing), index), *infeasible_row(experiment))
         frame = table.write()
+        store.remove_errors("trials", trials.refusals)
+        store.remove_errors("estimates", {*frame["key"]})
         write_json(out / "manifest.json", manifest(scenario, store.secret) | contents)
         yield frame, tasks
 
@@ -255,6 +257,7 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
             estimates.add(experiment)
         work_off(tasks, estimates.start)
         rows = rows_of(table.write())
+        store.remove_errors("estimates", {row["key"] for row in rows})
         holds = scenario.model_dump(include={"objects", "support", "sensing", "methods"})
         facts = {
             "name": folder.resolve().name,

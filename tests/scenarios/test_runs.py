@@ -17,7 +17,7 @@ import pytest
 
 from scenarios.config import Scenario, load_scenario
 from scenarios.execution.executor import InlineExecutor
-from scenarios.results.files import LOCK, FolderInUseError, exclusive, read_json, write_json
+from scenarios.results.files import LOCK, STAGES, FolderInUseError, errors_left, exclusive, read_json, write_json
 from scenarios.results.store import Store
 from scenarios.results.table import rows_of
 from scenarios.study import run as study
@@ -123,6 +123,13 @@ def test_a_finished_run_is_read_again_without_work(finished, copied):
     stamps = {path: path.stat().st_mtime_ns for kind in ("trials", "estimates") for path in copied.glob(f"{kind}/*/*")}
     pd.testing.assert_frame_equal(resumed(finished.scenario, copied, workers=2), finished.rows)  # starts no worker
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
+
+
+def test_errors_of_trials_and_estimates_that_a_run_no_longer_has_go_at_its_end(finished, copied):
+    for stage in STAGES:
+        Store(copied).put_error(stage, "0" * 20, "ValueError: it broke, and was mended\n")
+    pd.testing.assert_frame_equal(resumed(finished.scenario, copied), finished.rows)
+    assert not any(errors_left(copied, stage) for stage in STAGES)
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [

@@ -193,13 +193,16 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
         trajectory = draw_sensing(trajectory, preset("ideal"), 0)
     name = file_name(f"{record.object.name}_{record.folder.name[:8]}.mcap")
     path = out or inside(folder, "exports", name)
+    mapped, (called, text) = trajectory.action.on_table and trajectory.ok, _named_object(record.object)
+    mapping = path.with_suffix(".toml")
+    if mapped and mapping.name == called:
+        raise InvalidValueError("--out", out, f"another name: {called} beside it is the object's file, not the mapping")
     write_mcap(trajectory, path)
     print(path)
-    if not (trajectory.action.on_table and trajectory.ok):
+    if not mapped:
         print("without a mapping: heft import reads turns, slides and pushes that are data")
         return
-    called, text = _named_object(record.object)
-    texts = {path.with_suffix(".toml"): mapping_text(trajectory, shape, called, path.name)}
+    texts = {mapping: mapping_text(trajectory, shape, called, path.name)}
     if text is not None:
         texts[path.with_name(called)] = text
     for file, content in texts.items():

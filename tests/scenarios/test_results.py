@@ -20,7 +20,7 @@ from scenarios.results.estimates import load_rows, row_of
 from scenarios.results.files import read_json, write_json
 from scenarios.results.store import Store, write_arrays
 from scenarios.results.table import rows_of, write_rows
-from scenarios.results.trials import trials_behind
+from scenarios.results.trials import keys_of, kind_of_trial, trials_behind
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.experiment import experiments_of
@@ -162,6 +162,13 @@ def without(file: Path, name: str) -> None:
 
 ESTIMATE = (["view", "--web"], ["view", "--record"], ["view", "--figures"], ["export"])
 TRIAL = (["view", "--web"], ["view", "--record"], ["view", "--film"])
+
+
+def test_a_mapping_of_messages_is_not_written_over_its_objects_file(finished, tmp_path, capsys):
+    turn = next(key for key in keys_of(finished.out) if kind_of_trial(finished.out, key) == "rotate")
+    said = refusal(capsys, "export", str(finished.out), turn, "--format", "mcap", "--out", str(tmp_path / "pair.mcap"))
+    assert "--out: got" in said and "allowed: another name: pair.toml beside it is the object's file" in said
+    assert not list(tmp_path.glob("pair.*"))
 
 
 @pytest.mark.parametrize(

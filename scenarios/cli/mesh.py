@@ -65,6 +65,11 @@ def mesh(
                 cell=None if cell is None else cell / 1e3,
                 most_grasps=grasps,
             )
+            if found.name in [model.name for model in made]:
+                allowed = (
+                    f"a file of another name: another one here is the object {found.name}; give this its own --out"
+                )
+                raise InvalidValueError("FILE", str(file), allowed)
             model = found.model(found.masses(mass), friction)
             path = write_object(found, out, mass, friction)
         except InvalidValueError as error:

@@ -247,6 +247,17 @@ def test_a_number_of_grasps_below_zero_is_refused(capsys):
     assert refusal(capsys, "mesh", "any.stl", "--grasps", "-1") == "heft: --grasps: got -1; allowed: an integer >= 0\n"
 
 
+def test_a_second_file_of_an_objects_name_is_refused(tmp_path: Path, capsys):
+    files = [tmp_path / folder / "body.stl" for folder in "ab"]
+    for size, file in enumerate(files, start=1):
+        file.parent.mkdir()
+        trimesh.creation.box((0.1 * size, 0.03, 0.03)).export(file)
+    out = tmp_path / "out"
+    assert ended("mesh", *map(str, files), "--out", str(out), "--units", "m", "--mass", "0.5") == 1
+    assert f"FILE: got '{files[1]}'; allowed: a file of another name" in capsys.readouterr().out
+    assert np.ptp(load_object(out / "body.toml").shape.particles[:, 0]) < 0.15, "the first is kept"
+
+
 @pytest.mark.slow
 def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsys):
     path = saved(mallet(), tmp_path / "my mallet.ply")

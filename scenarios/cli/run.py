@@ -7,8 +7,9 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -107,20 +108,19 @@ def run(
         find_code_here()
     name, study = load_scenario(scenario)
     folder = out or Path("results") / name
-    with show_progress() as progress:
-        study, lines = with_meshes(study.changed(seeds, objects, methods, world), data, folder, progress)
-    for line in lines:
-        print(line)
     workers = default_workers() if workers is None else workers
     if workers < 0:
         raise InvalidValueError("--workers", workers, "an integer >= 0")
-    check_nothing_lost(folder, study, secret)
     console = open_console()
-    if dry_run:
-        show_dry_run(console, study, folder, workers)
-        return
-    url = viewer.waiting() if live else None
-    recorder = Recorder(folder, record, url) if record or live else None
+    with TemporaryDirectory(prefix="heft-") if dry_run else nullcontext(folder) as place:
+        with show_progress() as progress:
+            study, lines = with_meshes(study.changed(seeds, objects, methods, world), data, Path(place), progress)
+        print("".join(f"{line}\n" for line in lines).replace(str(place), str(folder)), end="")
+        check_nothing_lost(folder, study, secret)
+        if dry_run:
+            show_dry_run(console, study, folder, workers)
+            return
+    recorder = Recorder(folder, record, viewer.waiting() if live else None) if record or live else None
     begin = time.monotonic()
     views = (write_views.__module__,)  # imported while the first trials are planned, not after the last estimate
     with ExitStack() as stack:

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from estimators.action_selection.greedy import PlannedPolicy
 from scenarios.catalog import LIBRARY
+from scenarios.cli.main import main
 from scenarios.config import Meshes, Scenario, load_scenario
 from scenarios.policies import AfterWeighing, Policy
 from scenarios.results.estimates import load_results
@@ -70,6 +71,15 @@ def test_parts_have_the_masses_that_make_the_whole(data: Path, tmp_path: Path):
     before = Path(path).stat().st_mtime_ns
     again, _ = with_meshes(scenario, data, tmp_path / "out", quiet)
     assert again.objects == [path] and Path(path).stat().st_mtime_ns == before
+
+
+def test_a_dry_run_on_meshes_writes_nothing(data: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.chdir(data.parent)
+    before = sorted(Path().rglob("*"))
+    main(["run", "tools", "--data", "set", "--out", "out", "--workers", "0", "--dry-run"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Mallet: out/objects/" in said and "1 object(s)" in said
+    assert sorted(Path().rglob("*")) == before
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,8 @@ class ResultTable:
             self._put_into_columns()
         pieces = list(self._pieces)
         if self._recalled:
-            own = [name for name in self._last.column_names if name not in self._recalled[0][1]]
+            placed = self._recalled[0][1]
+            own = [name for name in self._last.column_names if name not in placed and not name.startswith(AXIS)]
             pieces.append(self._last.select(own).take([row for *_, row in self._recalled]))
         rows = [*self._added, *((place, labels) for place, labels, _ in self._recalled)]
         order = sorted(range(len(rows)), key=lambda row: rows[row][0])

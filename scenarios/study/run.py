@@ -60,9 +60,11 @@ def run_scenario(
             out.
 
     Raises:
-        HeftError: something in the scenario cannot be done, or another run writes to `out`.
+        HeftError: something in the scenario cannot be done, `out` holds results of another scenario, as
+            `check_nothing_lost` finds, or another run writes there.
         OSError: `out` cannot be written to.
     """
+    check_nothing_lost(Path(out), scenario, secret)
     with carry_out(scenario, Path(out), worker_count, progress, executor, on_result, secret=secret) as (table, _):
         return table
 

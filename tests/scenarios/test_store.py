@@ -85,7 +85,7 @@ def test_a_row_of_the_last_table_is_taken_while_the_files_of_its_estimate_stay_a
         write_text(file, "sound")
     rows = [{"object": "old", "key": key, "status": status, "nad": 0.25, "trials": 3, "more": None}
             for key, status in (("a", "ok"), ("b", "failed"))]  # fmt: skip
-    write_rows(tmp_path, rows)
+    write_rows(tmp_path, [row | {"axis.of_another_sweep": 1} for row in rows])
     labels = {"object": "new"}
     assert not ResultTable(tmp_path).recall((1,), labels, "a"), "its files were not read yet"
     table = ResultTable(tmp_path)

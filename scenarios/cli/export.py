@@ -243,6 +243,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     import numpy as np
     import pandas as pd
 
+    from estimators.evaluation.statistics import AXIS
     from estimators.hidden_states.estimator import HiddenStates
     from estimators.posterior.estimator import Bayes
     from estimators.registry import METHODS, build_method
@@ -257,7 +258,10 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
     scenario = (read_manifest(folder) or {}).get("scenario", {})
     kind = METHODS.get(row["kind"])  # of heft's own alone: a folder names no code to run
     answer, shape = load_estimate(folder, row["key"]), estimate_view(folder, row).shape
-    method = build_method(row["kind"], scenario.get("methods", {}).get(row["method"], {})) if kind else None
+    prefix = f"{AXIS}methods.{row['method']}."
+    swept = {name.removeprefix(prefix): value for name, value in row.items() if name.startswith(prefix)}
+    settings = scenario.get("methods", {}).get(row["method"], {}) | swept | {"method": row["kind"]}
+    method = build_method(row["kind"], settings) if kind else None
     if not isinstance(method, HiddenStates | Bayes) or answer.distribution is None:
         raise InvalidValueError("--draws", row["method"], "an estimate by hidden_states or bayes that has masses")
     weighing, *trials = trials_behind(folder, row)

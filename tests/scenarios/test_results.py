@@ -13,6 +13,7 @@ from estimators.base import Estimate, robot_seconds
 from estimators.evaluation.statistics import axes_of
 from estimators.testing.analytic_world import turns
 from scenarios import Scenario, load_results, load_scenario, load_trajectories, run_scenario
+from scenarios.cli.export import posterior_table
 from scenarios.cli.main import main
 from scenarios.cli.run import status
 from scenarios.config import Sweep
@@ -162,6 +163,15 @@ def without(file: Path, name: str) -> None:
 
 ESTIMATE = (["view", "--web"], ["view", "--record"], ["view", "--figures"], ["export"])
 TRIAL = (["view", "--web"], ["view", "--record"], ["view", "--film"])
+
+
+def test_draws_are_of_the_method_as_a_sweep_sets_it(finished):
+    row = next(row for row in load_rows(finished.out) if row["method"] == "hidden_states")
+    asked = [{**row, "kind": "bayes"} | swept for swept in ({}, {"axis.methods.hidden_states.support": "rigid"})]
+    base, rigid = (posterior_table(finished.out, each, 20).to_numpy() for each in asked)
+    assert base.shape == rigid.shape and not np.allclose(base, rigid)
+    with pytest.raises(InvalidValueError, match=r"got \{'support': 'soft'\}"):
+        posterior_table(finished.out, asked[1] | {"axis.methods.hidden_states.support": "soft"}, 20)
 
 
 def test_a_mapping_of_messages_is_not_written_over_its_objects_file(finished, tmp_path, capsys):

@@ -90,7 +90,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         if not 1 < blocks[0] <= blocks[1] <= MOST_GROUPS:
             raise InvalidValueError("PlanningEnv.blocks", blocks, f"the least and the most, from 2 to {MOST_GROUPS}")
         self.backend, self.reward_kind, self.budget_s, self.render_mode = backend, reward, budget_s, render_mode
-        self.blocks, self.sensing, self.family = blocks, preset(sensing), family or ActionFamily()
+        self.blocks, self.sensing, self.family = (*blocks,), preset(sensing), family or ActionFamily()
         self.estimator = estimator or HiddenStates()
         self._given = load_object(object) if isinstance(object, str) else object
         groups, grasps = MOST_GROUPS, MOST_GRASPS

@@ -181,6 +181,11 @@ def test_settings_that_mean_nothing_are_named(settings, field):
     assert error.value.field == f"PlanningEnv.{field}"
 
 
+def test_numbers_of_blocks_may_be_a_list():
+    env = PlanningEnv(blocks=[2, 3])  # pyright: ignore[reportArgumentType]
+    assert env.reset(seed=0)[1]["seconds"] == 0.0
+
+
 def test_the_policy_of_a_short_training_runs_in_a_scenario(tmp_path: Path):
     weights = tmp_path / "w.json"
     falls = train(weights, objects=2, unseen=2, generations=2, population=4, candidates=40, budget_s=60.0)

@@ -33,8 +33,9 @@ def import_(
     """Import another robot's logs (CSV, Parquet, HDF5, MCAP, ROS 2 bags) as trials.
 
     MAPPING is a TOML file that names the columns, their units and the actions; docs/own_logs.md has an example. All
-    errors are listed at once, and nothing is written if there are any. Importing a log again replaces its earlier
-    trial. Exit code: 1 if a trial is unusable or contradicts its action, or if --find cannot read a log.
+    errors are listed at once, and nothing is written if there are any. Importing a log, or a stretch of it, again
+    replaces its earlier trial of that object. Exit code: 1 if a trial is unusable or contradicts its action, or if
+    --find cannot read a log.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
@@ -154,6 +155,12 @@ def _summary(log: ImportedLog, nothing: str) -> str:
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
         + (f"\n        left out of the wrench: {facts['left out']}" if "left out" in facts else "")
         + (f"\n        no estimate uses it: {nothing}" if nothing else "")
+        + "".join(f"\n        replaces trial {key[:8]}" for key in log.replaced)
+        + "".join(
+            f"\n        trials/{key} is of another file of this name, and counts too: if it is the same recording, "
+            "delete that folder"
+            for key in log.alike
+        )
     )
 
 

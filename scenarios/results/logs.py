@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.importers.clocks import Delay, pooled_delay
 from testbed.importers.importer import delay_of, import_trajectory, object_of
 from testbed.importers.logs import LogError, read_all
-from testbed.importers.mapping import LogMap, Mapping
+from testbed.importers.mapping import LogMap, Mapping, moved_as_stored
 from testbed.objects.model import ObjectModel
 from testbed.robot.runner import read_off
 from testbed.toml import load_toml
@@ -40,6 +40,12 @@ class ImportedLog:
     trajectory: Trajectory
     key: str
     """Key of the trial."""
+    source: dict[str, Any]
+    """Content of the files, and how they are read, as the trial's request has it."""
+    replaced: list[str] = field(default_factory=list)
+    """Keys of earlier trials of the same stretch, which are removed."""
+    alike: list[str] = field(default_factory=list)
+    """Keys of earlier trials of that stretch of other files of the same name, which stay."""
 
 
 def import_logs(
@@ -81,7 +87,7 @@ def import_logs(
     ]
     model, *trajectories = read_all(lambda: object_of(content, mapping), *reads)
     support = support_of(model.shape, support_name)
-    sources = [_source(path, entry, content, mapping.parent) for path, entry in entries]
+    sources = [_source(path, entry, content, mapping.parent, delay) for path, entry in entries]
     first: dict[str, Path] = {}
     for (path, _), source in zip(entries, sources, strict=True):
         if (same := key_of(source)) in first:
@@ -91,17 +97,15 @@ def import_logs(
         store = Store(out.absolute())
         store.remove_leftovers()
         imported = []
-        contents: dict[str, set[str]] = {}
         for (path, entry), trajectory, source in zip(entries, trajectories, sources, strict=True):
-            checksum, said = str(source["sha256"]), {"log": path.name} | source
+            said = {"log": path.name} | source
             key = _put(store, Trial(model, trajectory.action, support), trajectory, {"import": said})
-            contents.setdefault(checksum, set()).add(key)
-            imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key))
-        _remove_earlier(store, contents)
+            imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key, said))
+        _remove_earlier(store, imported)
         if weight is not None:
             read = read_off(weight)
             read = replace(read, provenance=read.provenance | {"runner": "import"})
-            _put(store, Trial(model, read.action, support), read, {"weight_kg": weight})
+            _put(store, Trial(model, read.action, support), read, {"weight_kg": weight, "name": model.name})
     return imported
 
 
@@ -112,11 +116,15 @@ def _read(path: Path, entry: LogMap, mapping: Path, delay: Delay | None, done: C
         done()
 
 
-def _source(path: Path, entry: LogMap, content: Mapping, folder: Path) -> dict[str, Any]:
-    """Content of a trial's files, and how it is read."""
+def _source(path: Path, entry: LogMap, content: Mapping, folder: Path, delay: Delay | None) -> dict[str, Any]:
+    """Content of a trial's files, and how it is read: all that its trajectory depends on."""
     table = content.for_entry(entry)
     checksum = _checksum([path, *([folder / table.sensor.file] if table.sensor.file else [])])
     read: dict[str, Any] = {"sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
+    parts = table.camera.parts if table.camera else []
+    beside = [folder / name for name in (table.sensor.calibration, table.hand.urdf, *(p.file for p in parts)) if name]
+    read |= {"beside": _checksum(beside)} if beside else {}
+    read |= {"delay_s": list(delay)} if delay and table.separate else {}
     return read | ({"stretch": entry.stretch} if entry.stretch else {})
 
 
@@ -150,12 +158,27 @@ def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any
     return key
 
 
-def _remove_earlier(store: Store, contents: dict[str, set[str]]) -> None:
-    """Remove earlier imports of logs, by their checksums, but for the keys of this one."""
+def _remove_earlier(store: Store, imported: Sequence[ImportedLog]) -> None:
+    """Remove earlier trials of an object's stretches of the same logs; those of other logs of their names are noted."""
+    keys = {log.key for log in imported}
     for place, known in stored(store.root, "trials", "left as it is"):
-        earlier = (known or {}).get("asked", {}).get("import", {}).get("sha256")
-        if earlier in contents and place.name not in contents[earlier]:
+        earlier = (known or {}).get("asked", {}).get("import", {})
+        if known is None or not earlier or place.name in keys:
+            continue
+        name, checksum = known["names"]["object"], earlier["sha256"]
+        same = [log for log in imported if log.object.name == name and _overlap(log.source, earlier)]
+        if of_log := [log for log in same if log.source["sha256"] == checksum]:
             shutil.rmtree(place)
+            of_log[0].replaced.append(place.name)
+        for log in same if not of_log else ():
+            if log.source["log"] == earlier["log"]:
+                log.alike.append(place.name)
+
+
+def _overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """True if two trials are of the same rows of a log, and their motions share a time."""
+    (begin, end), (start, stop) = moved_as_stored(one), moved_as_stored(other)
+    return one["mapping"].get("where") == other["mapping"].get("where") and begin < stop and start < end
 
 
 def _checksum(logs: Sequence[Path]) -> str:

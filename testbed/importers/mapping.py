@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -81,6 +82,8 @@ def _mapped_action(table: dict[str, Any]) -> MappedAction:
     return MappedAction(action_from_dict(table | {"grasp": 0} if name else table), str(name))
 
 
+_WITHIN = re.compile(r"(\S+) s to (?:(\S+) s|its end)$")
+"""Times of a stretch in words."""
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
 RecordedAction = Annotated[MappedAction, BeforeValidator(_mapped_action)]
 
@@ -118,6 +121,15 @@ class LogMap(Table):
         if steady:
             return steady[0].from_s, steady[-1].to_s
         return self.from_s, math.inf if self.to_s is None else self.to_s
+
+
+def moved_as_stored(source: dict[str, Any]) -> tuple[float, float]:
+    """Begin and end of the motion [s] of a stored trial, as `LogMap.moved`, by its mapping and its stretch in words."""
+    steady = [window for window in source["mapping"].get("phases", ()) if window["phase"] == "steady"]
+    if steady:
+        return steady[0]["from_s"], steady[-1]["to_s"]
+    within = _WITHIN.search(source.get("stretch", ""))
+    return (float(within[1]), float(within[2] or math.inf)) if within else (0.0, math.inf)
 
 
 class Mapping(Columns):

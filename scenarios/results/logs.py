@@ -6,6 +6,7 @@ import hashlib
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -154,7 +155,8 @@ def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any
     """Put a trial where simulated ones are kept; its key."""
     request = record_request(trial) | said
     key = key_of(request)
-    store.put_trial(key, trial, request, trajectory)
+    origin = trajectory.provenance | {"imported": datetime.now(UTC).isoformat()}
+    store.put_trial(key, trial, request, replace(trajectory, provenance=origin))
     return key
 
 

@@ -231,6 +231,8 @@ class MeasuredTrials:
 def measured_records(root: Path) -> list[TrialRecord]:
     """All whole trials of a folder in order of recording, those that are no data among them; a warning for the others.
 
+    Those of logs without a date come first, in order of import.
+
     Raises:
         InvalidValueError: not a results folder, or simulated trials.
     """
@@ -244,9 +246,10 @@ def measured_records(root: Path) -> list[TrialRecord]:
     return sorted(trials, key=recorded_order)
 
 
-def recorded_order(trial: TrialRecord) -> tuple[str, str]:
-    """Time at which a trial was recorded, empty of a simulated one, and its key: trials sort by these."""
-    return trial.trajectory.provenance.get("recorded", ""), trial.folder.name
+def recorded_order(trial: TrialRecord) -> tuple[str, ...]:
+    """Times at which a trial was recorded and imported, empty of a simulated one, and its key: trials sort by these."""
+    origin = trial.trajectory.provenance
+    return origin.get("recorded", ""), origin.get("imported", ""), trial.folder.name
 
 
 def is_weighed(root: Path, name: str) -> bool:

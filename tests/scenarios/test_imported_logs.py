@@ -93,3 +93,9 @@ def test_each_object_keeps_its_weighing(lab: Path):
         (lab / f"{name}.toml").write_text(text.format(name), encoding="utf-8")
         imports(lab, [episode(0)], 1.8, object=f"{name}.toml")
     assert [group.object.name for group in measured_trials(lab / "out")[0]] == ["one", "other"]
+
+
+def test_trials_without_dates_are_in_the_order_of_import(lab: Path):
+    logs = imports(lab, [episode(i) for i in (2, 0, 1)], 1.8)
+    (found,), _ = measured_trials(lab / "out", held_out=1)
+    assert (*found.moved, *found.held_out) == tuple(log.key for log in logs)

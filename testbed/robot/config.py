@@ -42,6 +42,8 @@ class RobotSettings:
     """Orientation of the sensor's frame in the arm's tool frame, wxyz; from calibration."""
     sensor_sign: Literal[1, -1] = 1
     """Factor that makes of the sensor's reading the wrench of the arm on the tool; from calibration."""
+    sensor_gain: Annotated[Float[np.ndarray, "6"], Range(0.5, 2, "")] = field(default_factory=lambda: np.ones(6))
+    """Reading over true value, of each axis; from calibration."""
     closing_angle: Annotated[float, Range(-2 * math.pi, 2 * math.pi, "rad")] = 0.0
     """Closing direction of the pads, from the x axis of the arm's tool frame about its z axis [rad]."""
     table_height: Annotated[float, Range(-0.6, 0.6, "m")] = 0.0
@@ -103,6 +105,10 @@ class RobotSettings:
         object.__setattr__(self, "sensor_orientation", quaternion)
         for name in ("off_path", "bias_std", "drift_std", "null_gain", "null_travel", "tool_error"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    def on_tool(self, reading: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 6"]:
+        """Wrench of the arm on the tool [N, N m], of the sensor's reading or a change of it, sensor axes."""
+        return self.sensor_sign * reading / self.sensor_gain
 
 
 _SEEN = CAMERAS["30hz"]
@@ -325,7 +331,8 @@ class RobotFile(Strict):
             raise InvalidValueError("calibration.tool_com_m", [x, y, z], allowed)
         tcp = turn @ [0.0, 0.0, self.sensor.to_tcp_m]
         tool = Tool(mass, calibration.com, turn @ sheet.inertia @ turn.T, tcp)
-        return replace(settings, tool=tool, sensor_orientation=mount, sensor_sign=calibration.sign)
+        sensor: dict[str, Any] = {"sensor_sign": calibration.sign, "sensor_gain": calibration.gain}
+        return replace(settings, tool=tool, sensor_orientation=mount, **sensor)
 
 
 def calibration_of(file: RobotFile, path: Path, sensor: str | None = None) -> Calibration | None:

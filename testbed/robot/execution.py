@@ -123,7 +123,7 @@ class Execution:
         self._wait(_STILL)
         begin, settings = self._clock.now(), self._settings
         self._wait(_STILL)
-        measured = settings.sensor_sign * self._guard.recorder.mean_wrench(begin, self._clock.now())
+        measured = settings.on_tool(self._guard.recorder.mean_wrench(begin, self._clock.now()))
         tool = self._guard.state().tcp_pose.rotation
         axes = tool * Rotation.from_quat(settings.sensor_orientation, scalar_first=True)
         force = axes.inv().apply([0.0, 0.0, settings.tool.mass * GRAVITY])
@@ -178,7 +178,7 @@ class Execution:
         sample = self._guard.recorder.sample
         assert sample is not None
         axes = state.tcp_pose.rotation * Rotation.from_quat(self._settings.sensor_orientation, scalar_first=True)
-        load = self._settings.sensor_sign * (sample.wrench - self._rest)
+        load = self._settings.on_tool(sample.wrench - self._rest)
         return rotate_wrench(axes.as_matrix(), move_wrench(load, self._settings.tool.tcp))
 
     def _act(self) -> None:

@@ -236,7 +236,7 @@ def trajectory_of(
         tcp_position=record.tcp_position - [0.0, 0.0, settings.table_height],
         tcp_velocity=record.tcp_velocity,
         sensor_orientation=sensor.as_quat(scalar_first=True),
-        sensor_wrench=settings.sensor_sign * record.wrench,
+        sensor_wrench=settings.on_tool(record.wrench),
         wrench_on_object_world=np.zeros((count, 6)),
         joint_position=record.joint_position,
         tool=settings.tool,

@@ -413,8 +413,11 @@ def test_a_robot_files_defaults_are_the_settings_own():
 
 
 def test_a_calibration_turns_into_the_tools_frame():
-    settings = RobotFile().settings(straight(sign=-1, turn=0.8), SHEET)
+    """With the gains of the axes."""
+    gain = np.array([1.1, 0.9, 1.0, 1.2, 1.0, 0.8])
+    settings = RobotFile().settings(replace(straight(sign=-1, turn=0.8), gain=gain), SHEET)
     assert settings.sensor_sign == -1
+    np.testing.assert_allclose(settings.on_tool(np.full((2, 6), 3.0)), [-3.0 / gain] * 2)
     np.testing.assert_allclose(settings.tool.tcp, [0, 0, 0.174], atol=1e-12)
     assert np.trace(settings.tool.inertia) == pytest.approx(np.trace(SHEET.inertia))
 

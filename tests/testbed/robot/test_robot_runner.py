@@ -94,9 +94,10 @@ def test_the_raw_record_is_kept_with_its_bias():
 
 
 @pytest.mark.slow
-def test_a_sensor_that_is_turned_and_negated_gives_the_same():
-    """The mount's calibration undoes what the mount does."""
+def test_a_sensor_that_is_turned_and_negated_and_has_gains_gives_the_same():
+    """The calibration undoes what the mount and the axes do."""
     trial, about_z = Trial(OBJECT, ACTION), np.array([-1.0, -1.0, 1.0])
+    gain = np.array([1.1, 0.9, 1.2, 0.9, 1.1, 0.8])
     robot, runner = robot_for(
         trial,
         change=lambda settings: replace(
@@ -104,9 +105,10 @@ def test_a_sensor_that_is_turned_and_negated_gives_the_same():
             tool=replace(settings.tool, com=settings.tool.com * about_z, tcp=settings.tool.tcp * about_z),
             sensor_orientation=np.array([0.0, 0.0, 0.0, 1.0]),
             sensor_sign=-1,
+            sensor_gain=gain,
         ),
     )
-    robot.world.mount = -np.tile(about_z, 2)
+    robot.world.mount = -np.tile(about_z, 2) * gain
     with runner:
         trajectory = runner.run(trial)
     assert trajectory.ok, trajectory.reason
@@ -214,6 +216,7 @@ def test_the_record_keeps(rule, record):
 
 MISTAKES = {
     "sign": {"sensor_sign": -1},
+    "gains": {"sensor_gain": np.repeat([1.0, 0.5], 3)},
     "rotation": {"sensor_orientation": np.array([0.0, 0.0, 0.0, 1.0])},
     "mass": {"tool": replace(TOOL, mass=2.0)},
     "center": {"tool": replace(data_sheet(0.05), com=np.array([0.0, 0.0, -0.06]))},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -58,8 +57,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     (action, model), streams = _content(log, table, mapping, entry)
     delay = streams.delay(table, action) if delay is None or not table.separate else delay
     if delay is not None and delay.sure:
-        early = streams.wrench.time_s - delay.seconds
-        streams = replace(streams, wrench=streams.wrench._replace(time_s=early))
+        streams = streams.early(delay.seconds)
     wrench, velocity, joints = streams.wrench, streams.velocity, streams.joints
     base = common_base(streams.needed, table.longest_gap_s)
     time, count, begin = np.arange(len(base)) / RATE, len(base), streams.epoch_s + float(base[0])

@@ -124,7 +124,7 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     names = [grasp.name for grasp in shape.grasps]
     if wrong := [name for name in grasps if name not in names]:
         raise InvalidValueError("--grasps", wrong[0], f"some of {', '.join(names)}{nearest(wrong[0], names)}")
-    streams = Streams.of(open_log(log, table), table, mapping.parent)
+    streams = Streams.of(open_log(log, table), table, mapping.parent).early(table.sensor.delay_s or 0.0)
     motion = _Motion(streams, table, gain, shape)
     found = _trials(motion.segments())
     none = not any(segment.action or segment.reason for segment in found)

@@ -76,6 +76,10 @@ class Streams:
         """All series but the camera's: each covers a whole trial."""
         return [one for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
 
+    def early(self, seconds: float) -> Streams:
+        """The same with the wrench's stamps moved back."""
+        return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
+
     def within(self, from_s: float, to_s: float | None) -> Streams:
         """The same from one time to another after the first sample; None is the end.
 

@@ -96,6 +96,15 @@ def test_stretches_come_back(found: list[Segment], trials: list[Trajectory]):
     assert sum(segment.kind == "tare" for segment in found) == 5
 
 
+def test_a_stated_delay_of_the_wrench_is_taken_off(trials: list[Trajectory], tmp_path: Path):
+    recording = strung([trials[3], trials[6]], NOISE)
+    before = np.maximum(np.arange(len(recording.time_s)) - 800, 0)
+    log, mapping = written(tmp_path, replace(recording, sensor_wrench=recording.sensor_wrench[before]))
+    assert not any(segment.kind == "turn" and segment.to_s < 14 for segment in find_segments(log, mapping))
+    mapping.write_text(mapping.read_text("utf-8").replace("[sensor]", "[sensor]\ndelay_s = 8.0"), encoding="utf-8")
+    assert any(segment.kind == "turn" and segment.to_s < 14 for segment in find_segments(log, mapping))
+
+
 def test_one_grasp_may_hold_for_two_actions(trials: list[Trajectory], tmp_path: Path):
     """The second has the tare of the first, and its own phases."""
     turn = trials[3]

@@ -55,7 +55,7 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         found = _from_joints(log, hand, time, folder)
     else:
         found = _pose(log, "hand", hand, time)
-    series, turned = without_frozen(found)
+    series, turned = found if isinstance(log, TableLog) and log.numbered else without_frozen(found)
     return series._replace(values=hand.upright.apply(series.values)), hand.upright * turned
 
 

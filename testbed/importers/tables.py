@@ -55,7 +55,8 @@ class TableLog:
         self.path, self.epoch_s = path, 0
         """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
         self._where, self._decimal = mapping.where, mapping.decimal
-        self._numbered = mapping.rows == "poses"  # rows without times, which are numbered: poses of their own
+        self.numbered = mapping.rows == "poses"
+        """True of rows without times, which are numbered: poses of their own."""
         if path.suffix in ARRAYS:
             self._row, self._names, self._columns = "row", *_arrays(path)
         else:
@@ -88,7 +89,7 @@ class TableLog:
         sought = columns_of(field, names, self.path)
         rules = [partial(self._numbers, "where", name) for name in self._where]
         numbers = [partial(self._numbers, field, name) for name in sought]
-        if self._numbered:
+        if self.numbered:
             columns = read_all(*numbers, *rules)
             stamps = np.arange(len(columns[0]), dtype=float)
         else:

@@ -60,7 +60,8 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
         lambda: read_wrench(other, table.sensor, table.time),
         lambda: hand_pose(source, table.hand, table.time, mapping.parent),
     )
-    wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
+    late = (table.sensor.delay_s or 0.0) * (table.rows == "samples")
+    wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s) - late)
     check_sensor_alive(wrench, wrench.time_s[[0, 0]], table.sensor.measured)
     wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
     if table.rows == "poses":
@@ -94,9 +95,10 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
 
 
 def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
-    """Poses of rows, those without a wrench left out; the scatter of a fit, axis by axis, is the error of a reading."""
-    hands = pose[1].as_quat(scalar_first=True)[np.isin(pose[0].time_s, wrench.time_s)]
-    poses = [StaticPose(hand, read, np.ones(6)) for hand, read in zip(hands, wrench.values, strict=True)]
+    """Poses of rows that have wrench and hand; the scatter of a fit, axis by axis, is the error of a reading."""
+    _, moved, felt = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
+    pairs = zip(pose[1][moved].as_quat(scalar_first=True), wrench.values[felt], strict=True)
+    poses = [StaticPose(hand, read, np.ones(6)) for hand, read in pairs]
     if len(poses) < FEWEST:
         raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")
     left, rows = residuals(calibrate(poses, gravity=gravity), poses), 6 * len(poses)

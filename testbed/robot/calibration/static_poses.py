@@ -186,7 +186,8 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
             break
         errors = scattered
         best = _fit(poses, sign, gain_error, errors, gravity)
-    covariance = np.linalg.inv(best.jac.T @ best.jac) * max(2 * best.cost / freedom, 1.0)
+    read, stated = best.jac[: 6 * len(poses)], best.jac[6 * len(poses) :]  # scatter is the readings' alone
+    covariance = np.linalg.inv(read.T @ read / max(2 * best.cost / freedom, 1.0) + stated.T @ stated)
     mass, com = best.x[3], best.x[4:7] / best.x[3]
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))

@@ -100,6 +100,12 @@ def test_readings_that_scatter_more_than_they_say_widen_the_answer():
     assert not any("times as much" in line for line in in_words(honest))
 
 
+def test_readings_that_scatter_do_not_widen_the_stated_error_of_the_gains():
+    found = calibrate(readings(MOUNTS[0], noise=10.0, seed=3), gain_error=0.02)
+    assert found.misfit > 3
+    assert (found.gain_std < 0.02).all()
+
+
 def test_it_finds_the_simulated_gripper_at_rest():
     model = arm_model()
     data = mujoco.MjData(model)
@@ -295,6 +301,18 @@ def test_every_rest_is_a_pose_and_all_comes_back(tmp_path, sign):
     assert found.mass_std < 0.002 and np.degrees(found.sensor_in_hand_std.max()) < 0.2
 
 
+def test_a_stated_delay_of_the_wrench_is_taken_off(tmp_path):
+    log, mapping = recorded(tmp_path)
+    table, late = pd.read_csv(log), 150
+    wrench = [kind + axis for kind in "ft" for axis in "xyz"]
+    table[wrench] = table[wrench].shift(late).bfill()
+    table.to_csv(log, index=False)
+    delay = late * (table["t"][1] - table["t"][0])
+    mapping.write_text(mapping.read_text("utf-8").replace("[sensor]", f"[sensor]\ndelay_s = {delay}"), encoding="utf-8")
+    found = calibrate(recorded_poses(log, mapping)[0])
+    assert found.misfit < 3 and np.abs(off(found)).max() < 4
+
+
 @pytest.mark.slow
 def test_slow_motion_will_do(tmp_path):
     poses, _ = recorded_poses(*recorded(tmp_path, rest_s=0.0, way_s=20.0))
@@ -343,6 +361,22 @@ def test_a_row_may_be_a_pose(tmp_path):
     pd.DataFrame(rows, columns=[*cells, *wrench, "x", "y", "z"]).to_csv(tmp_path / "rows.csv")
     with pytest.raises(LogError, match=r"hand.orientation: no rotation at sample 3"):
         recorded_poses(tmp_path / "rows.csv", mapping)
+
+
+def test_rows_of_one_pose_are_all_kept(tmp_path):
+    """Equal rows are no frozen source; those without a hand are left out."""
+    hands = [hand for hand in POSES for _ in range(2)]
+    every = readings(MOUNT, noise=1.0, hands=hands)
+    names = [*"xyz", "qw", "qx", "qy", "qz", *(kind + axis for kind in "ft" for axis in "xyz")]
+    rows = pd.DataFrame([[0, 0, 0, *pose.hand, *pose.wrench] for pose in every], columns=names, dtype=float)
+    rows.loc[4, names[:7]] = np.nan
+    rows.to_csv(tmp_path / "rows.csv")
+    columns = {"position": names[:3], "orientation": names[3:7]}
+    sensor = {"force": names[7:10], "torque": names[10:]}
+    mapping = write_toml(tmp_path / "map.toml", {"rows": "poses", "sensor": sensor, "hand": columns})
+    poses, _ = recorded_poses(tmp_path / "rows.csv", mapping)
+    assert len(poses) == len(hands) - 1
+    assert np.abs(off(calibrate(poses))).max() < 4
 
 
 @pytest.mark.slow

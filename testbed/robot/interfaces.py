@@ -328,12 +328,16 @@ class Gripper(Protocol):
         """Close on something `width` [m] wide with `force` [N]; returns when it holds.
 
         Raises:
-            ArmRefusedError: closed on nothing, or refused.
+            ArmRefusedError: closed on nothing or something else, not closed, or refused.
         """
         ...
 
     def open(self, width: float | None) -> None:
-        """Open until the pads are `width` [m] apart, None as far as they go; returns when they stand."""
+        """Open until the pads are `width` [m] apart, None as far as they go; returns when they stand.
+
+        Raises:
+            ArmRefusedError: not opened so far, or refused.
+        """
         ...
 
 

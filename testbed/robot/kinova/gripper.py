@@ -49,12 +49,22 @@ class KortexGripper:
     def close_on(self, width: float, force: float) -> None:
         """Close until something stops the fingers. `force` [N] is not commanded: Kortex has no such command."""
         self._go(1.0)
-        if (found := self.width()) < width - _WIDTH_ERROR:
-            raise ArmRefusedError(f"gripper: closed to {found * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: on nothing")
+        self._check("closed", width, "on nothing", "it does not close, or holds something else")
 
     def open(self, width: float | None) -> None:
         """Open until the pads are `width` [m] apart, None as far as they go."""
-        self._go(0.0 if width is None else max(1 - width / STROKE, 0.0))
+        wanted = STROKE if width is None else min(width, STROKE)
+        self._go(1 - wanted / STROKE)
+        self._check("opened", wanted, "it does not open", "it does not close so far")
+
+    def _check(self, moved: str, width: float, narrower: str, wider: str) -> None:
+        """Raise ArmRefusedError, with the reason of either side, unless the pads are `width` [m] apart."""
+        off = self.width() - width
+        if abs(off) > _WIDTH_ERROR:
+            raise ArmRefusedError(
+                f"gripper: {moved} to {(width + off) * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: "
+                f"{narrower if off < 0 else wider}"
+            )
 
     def _go(self, part: float) -> None:
         """Send the fingers to a part of their stroke, and wait until they stand."""

@@ -231,6 +231,22 @@ def test_refusals_and_faults_are_named(arm, gen3):
         arm.twist(STAND, STAND)
 
 
+@pytest.mark.parametrize(
+    ("stands", "call", "said"),
+    [
+        (0.085, lambda gripper: gripper.close_on(0.05, 100.0), "closed to 85 mm; expected 50 mm: it does not close"),
+        (0.05, lambda gripper: gripper.open(None), "opened to 50 mm; expected 85 mm: it does not open"),
+        (0.085, lambda gripper: gripper.open(0.06), "opened to 85 mm; expected 60 mm: it does not close so far"),
+    ],
+)
+def test_a_gripper_that_does_not_move_is_refused(monkeypatch, stands, call, said):
+    arm = KortexArm()
+    monkeypatch.setattr(arm, "ask", lambda *_, **__: None)
+    monkeypatch.setattr(arm, "closed_part", lambda: 1 - stands / 0.085)
+    with pytest.raises(ArmRefusedError, match=said):
+        call(KortexGripper(arm))
+
+
 @slow
 def test_the_gripper_closes_opens_and_measures_its_opening(arm, gen3):
     gripper = KortexGripper(arm)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -24,6 +26,16 @@ if TYPE_CHECKING:
     from testbed.trial import Trial
 
 Kind = Literal["rotate", "slide", "accelerate", "lift", "stop_and_go", "push", "weigh"]
+_USED: dict[Kind, tuple[str, ...]] = {
+    "rotate": ("grasp", "seconds", "speed", "pivot", "back"),
+    "slide": ("grasp", "seconds", "speed", "direction"),
+    "accelerate": ("grasp", "seconds"),
+    "lift": ("grasp", "seconds", "tilt"),
+    "stop_and_go": ("grasp", "seconds", "tilt"),
+    "push": ("speed", "point", "direction", "curvature", "length", "radius"),
+    "weigh": ("weight",),
+}
+"""Options of `trial` that each action uses, but for those that all use."""
 _TO_OUTLINE = 0.003
 """Distance by which a point is taken onto the outline [m]."""
 
@@ -85,6 +97,7 @@ def trial(
         out: results folder.
         dry_run: show the motion without connecting to any device.
     """
+    _check_used(action, locals())
     from testbed.objects.files import load_object
     from testbed.objects.model import SPARE_OPENING
     from testbed.robot.config import calibration_of
@@ -101,8 +114,8 @@ def trial(
         raise InvalidValueError("OBJECT", model.name, f"an object that can be gripped: {file.gripper.hand.nothing}")
     if weight is not None:
         check_kilograms("--weight", weight)
-        if action != "weigh":
-            raise InvalidValueError("--weight", weight, "a weight with --action weigh alone")
+        if dry_run:
+            raise InvalidValueError("--weight", "with --dry-run, which writes nothing", "one of the two")
     if action == "push":
         move: Action = push_of(model.shape, point, direction, curvature, length, radius, speed)
     else:
@@ -138,6 +151,15 @@ def trial(
         calibration_of(file, config, sensor.identity.serial)
         file.check_arm(arm.identity)
         _store(runner.run(planned), planned, file, out)
+
+
+def _check_used(action: Kind, given: Mapping[str, object]) -> None:
+    """Raise InvalidValueError for an option, by its value, that the action does not use."""
+    usual = inspect.signature(trial).parameters
+    for name in dict.fromkeys(name for used in _USED.values() for name in used):
+        if name not in _USED[action] and given[name] != usual[name].default:
+            users = " or ".join(kind for kind, used in _USED.items() if name in used)
+            raise InvalidValueError(f"--{name}", given[name], f"none with --action {action}: {users} uses it")
 
 
 def action_of(

@@ -385,7 +385,14 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
         (("trial", "L2", "--grasp", "Z9"), "grasp: got 'Z9'; allowed: one of B1, C1, A2"),
         (("trial", "L2", "--at", "0.6", "0", "0", "--action", "slide", "--dry-run"), "limit: the action: x of the"),
         (("trial", "L2", "--action", "weigh", "--weight", "-1"), "--weight: got -1.0"),
-        (("trial", "L2", "--weight", "1.8"), "--weight: got 1.8"),
+        (("trial", "L2", "--weight", "1.8"), "--weight: got 1.8; allowed: none with --action rotate: weigh uses it"),
+        (("trial", "L2", "--tilt", "3"), "--tilt: got 3.0; allowed: none with --action rotate: lift or stop_and_go"),
+        (("trial", "L2", "--action", "accelerate", "--speed", "5"), "--speed: got 5.0; allowed: none with"),
+        (("trial", "L2", "--action", "slide", "--no-back"), "--back: got False; allowed: none with --action slide"),
+        (("trial", "L2", "--action", "push", "--grasp", "A2"), "--grasp: got 'A2'; allowed: none with --action push"),
+        (("trial", "L2", "--action", "weigh", "--grasp", "NOPE", "--dry-run"), "--grasp: got 'NOPE'; allowed: none"),
+        (("trial", "L2", "--length", "0.2"), "--length: got 0.2; allowed: none with --action rotate: push uses it"),
+        (("trial", "L2", "--action", "weigh", "--weight", "1.8", "--dry-run"), "--weight: got 'with --dry-run, which"),
     ],
 )
 def test_bad_input_is_one_clear_line(folder, capsys, words, field):

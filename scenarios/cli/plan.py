@@ -281,6 +281,10 @@ def plan(
     guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
     allowed = named_grasps(model, search.grasps)
     if policy in ("published", "reversed_pairs"):
+        if search.lifts or search.pushes:
+            raise InvalidValueError(
+                "--policy", policy, "greedy, batch or random with --lifts or --pushes: it only turns"
+            )
         made = rank_driven_plan(model.shape, guess, goal, policy, allowed, search.seed)
     else:
         check, family = FeasibilityCheck(model.shape, guess), search.family(carrier)

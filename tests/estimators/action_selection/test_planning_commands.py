@@ -74,6 +74,10 @@ def test_a_plan_is_told_and_drawn(words, parts, drawn, tmp_path, monkeypatch, ca
         ("plan L2 --friction 5", "--friction: got 5.0; allowed: 0.01 to 2"),
         ("plan L2 --grasps Z9", "--grasps: got 'Z9'; allowed: grasps of L2: B1"),
         ("plan L2 --record plan.txt", "--record: got 'plan.txt'; allowed: a file that ends in .rrd"),
+        (
+            "plan L2 --policy reversed_pairs --pushes",
+            "--policy: got 'reversed_pairs'; allowed: greedy, batch or random with --lifts or --pushes: it only turns",
+        ),
         ("touch L2 --most 0", "--most: got 0; allowed: an integer >= 1"),
         ("identify L2 --pivots -1", "--pivots: got -1; allowed: an integer >= 0"),
         ("payload nothing_here drill", "DIR|FILE.toml: got 'nothing_here'; allowed: a folder with lifts, or a file"),

@@ -154,7 +154,7 @@ class Mapping(Columns):
             InvalidValueError: two of them name the same stretch.
         """
         named = [entry for entry in self.logs if (folder / entry.file).resolve() == log.resolve()]
-        for earlier, later in pairwise(sorted(named, key=lambda entry: (*entry.where.items(), entry.moved))):
+        for earlier, later in pairwise(sorted(named, key=lambda entry: (sorted(entry.where.items()), entry.moved))):
             if earlier.where == later.where and later.moved[0] < earlier.moved[1] - 1e-9:
                 given = ", ".join(filter(None, (later.file, later.stretch)))
                 allowed = (

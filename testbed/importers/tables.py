@@ -209,6 +209,8 @@ def _text_columns(path: Path, mapping: Columns) -> tuple[list[str], Callable[[in
             skipinitialspace=True,
             skip_blank_lines=False,
         )
+    except re.error as error:
+        raise InvalidValueError("separator", sought, f"a character, or a pattern ({error})", file=path) from None
     except ValueError as error:
         said = f"cannot be read as a table: {str(error).strip()}"
         if ragged := _RAGGED.search(str(error)):

@@ -134,7 +134,11 @@ def hand_eye(
 
     if not points.is_file():
         raise InvalidValueError("POINTS.csv", str(points), "a path to an existing .csv file")
-    table = pd.read_csv(points, skipinitialspace=True)
+    try:
+        table = pd.read_csv(points, skipinitialspace=True)
+    except ValueError as error:  # empty, ragged, or of another coding
+        allowed = f"a table of numbers in UTF-8 ({str(error).strip()})"
+        raise InvalidValueError("POINTS.csv", str(points), allowed) from None
     if missing := [name for name in COLUMNS if name not in table]:
         raise InvalidValueError("columns", list(table), f"{', '.join(missing)} as well", file=points)
     seen, touched = (table[list(part)].to_numpy() for part in (COLUMNS[:3], COLUMNS[3:]))

@@ -368,6 +368,10 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
     assert "no file is written: a residual of" in capsys.readouterr().out and not (folder / "other.toml").exists()
     table.drop(columns="seen_z").to_csv("points.csv", index=False)
     assert "seen_z as well" in refused(capsys, "hand-eye", "points.csv")
+    for content in (b"", b"a,b\n1,2\n1,2,3\n", "Länge\n1\n".encode("latin-1")):
+        Path("points.csv").write_bytes(content)
+        said = refused(capsys, "hand-eye", "points.csv")
+        assert "POINTS.csv: got 'points.csv'; allowed: a table of numbers in UTF-8 (" in said
 
 
 @pytest.mark.parametrize(

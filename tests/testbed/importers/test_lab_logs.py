@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from testbed import Accelerate, HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
+from testbed.importers.mapping import Mapping
 from testbed.sensing.compensation import compensate
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from tests.fakes.lab_bench import (
@@ -323,6 +324,7 @@ def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
     assert "line 3: " in refused(tmp_path / "log.txt", mapping)
     assert "separator: got ','; allowed: another character" in refused(path, mapping | {"separator": ","})
+    assert "separator: got '[,'; allowed: a character, or a pattern (" in refused(path, mapping | {"separator": "[,"})
 
 
 def test_times_may_be_dates(turn: Trajectory, tmp_path: Path):
@@ -430,6 +432,14 @@ def test_one_file_serves_logs_of_several_actions(turn: Trajectory, slide: Trajec
     twice = write_toml(tmp_path / "twice.toml", mapping_of(turn, logs=[entries[0], *entries]))
     with pytest.raises(InvalidValueError, match=r"logs\.file: got 'logs/0.csv'; allowed: each stretch"):
         import_trajectory(first, twice)
+    for one, other in (({}, {"px": 1.0}), ({"px": 1.0, "py": 2.0}, {"py": 2.0, "px": 1.0})):
+        parts = [entries[0] | {"where": where} for where in (one, other)]
+        found = Mapping.model_validate(mapping_of(turn, logs=parts))
+        if one != other:
+            assert len(found.entries(first, tmp_path)) == 2
+        else:
+            with pytest.raises(InvalidValueError, match=r"logs\.file: got 'logs/0.csv, py 2, px 1'"):
+                found.entries(first, tmp_path)
     with pytest.raises(InvalidValueError, match="action: got None"):
         import_trajectory(first, none)
     bad = write_toml(tmp_path / "bad.toml", mapping_of(turn, logs=[{"file": "a", "action": {"kind": "weigh"}}]))

@@ -50,7 +50,7 @@ def import_(
         support: support of the object, if known: own_weight, rigid, or a stiffness in N/m; default: rigid for an object
             with contact points, otherwise own_weight.
         find: print the tares, turns, slides and pushes found in the logs, and write MAPPING with one [[logs]] table per
-            action as *.found.toml, to be reviewed and imported; nothing is imported.
+            action as *.found.toml, if there is none yet, to be reviewed and imported; nothing is imported.
         grasps: with --find, grasps of the first actions, where the motion is consistent with several.
     """
     if grasps and not find:

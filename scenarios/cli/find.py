@@ -35,6 +35,8 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
     table = load_toml(mapping, Mapping)
     if table.logs or not logs:
         raise InvalidValueError("--find", mapping, "a mapping without [[logs]], and the recordings after it")
+    if (path := mapping.with_suffix(".found.toml")).exists():
+        raise InvalidValueError("--find", str(path), "no such file yet: --find writes it; rename or delete it")
     console, text, known = open_console(), mapping.read_text(encoding="utf-8").rstrip() + "\n", True
     failed: list[HeftError] = []
     for log in logs:
@@ -51,7 +53,6 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
     for error in failed:
         print(f"left out: {error}", file=sys.stderr)
     if known:
-        path = mapping.with_suffix(".found.toml")
         write_text(path, text)
         print(f"{path}: review and correct it, then run heft import {path}")
     return not failed

@@ -245,6 +245,9 @@ def test_a_recording_is_found_and_imported(
     assert "another [[logs]] has 4 s to 28.01 s" in error
     said = refusal(capsys, "import", "lab.found.toml", "--find")
     assert "--find: got 'lab.found.toml'; allowed: a mapping without [[logs]]" in said
+    said = refusal(capsys, "import", "lab.toml", "day.csv", "--find", "--grasps", "A3")
+    assert "--find: got 'lab.found.toml'; allowed: no such file yet" in said
+    assert Path("lab.found.toml").read_text(encoding="utf-8") != text  # as it was edited
 
 
 ENDLESS = """

@@ -123,7 +123,8 @@ def _source(path: Path, entry: LogMap, content: Mapping, folder: Path, delay: De
     checksum = _checksum([path, *([folder / table.sensor.file] if table.sensor.file else [])])
     read: dict[str, Any] = {"sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
     parts = table.camera.parts if table.camera else []
-    beside = [folder / name for name in (table.sensor.calibration, table.hand.urdf, *(p.file for p in parts)) if name]
+    names = (table.sensor.calibration, table.hand.urdf, *(part.file for part in parts))
+    beside = [path for name in names if name and (path := folder / name).exists()]  # columns need no URDF
     read |= {"beside": _checksum(beside)} if beside else {}
     read |= {"delay_s": list(delay)} if delay and table.separate else {}
     return read | ({"stretch": entry.stretch} if entry.stretch else {})
@@ -180,7 +181,8 @@ def _remove_earlier(store: Store, imported: Sequence[ImportedLog]) -> None:
 def _overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """True if two trials are of the same rows of a log, and their motions share a time."""
     (begin, end), (start, stop) = moved_as_stored(one), moved_as_stored(other)
-    return one["mapping"].get("where") == other["mapping"].get("where") and begin < stop and start < end
+    where, others = (source["mapping"].get("where") or {} for source in (one, other))  # an older heft wrote none
+    return where == others and begin < stop and start < end
 
 
 def _checksum(logs: Sequence[Path]) -> str:

@@ -1,5 +1,6 @@
 """Logs become trials of a results folder: what replaces an earlier trial, and the order of the trials."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from testbed.importers.mapping import LogMap, moved_as_stored
 from testbed.robot.calibration.file import load_calibration, save_calibration
 from tests.fakes.lab_bench import columns, mapping_of, write_toml
 
-CALIBRATION = Path(__file__).parents[1] / "archives/0.2.0/calibration.toml"
+ARCHIVES = Path(__file__).parents[1] / "archives"
 TURNS = [t for t in load_block("L2-own_weight").trials("ft300s") if isinstance(t.action, Rotate)][:3]
 TIME = {"column": "stamp"}
 
@@ -48,7 +49,7 @@ def test_what_changes_a_trajectory_changes_its_key(lab: Path, monkeypatch: pytes
     """A calibration, and the delay that other logs show; the earlier trial is replaced."""
     wrench = mapping_of(TURNS[0])["sensor"] | {"file": "0.csv", "calibration": "calibration.toml"}
     logs = [{"file": "0.csv", "action": TURNS[0].action.to_dict()}]
-    found = load_calibration(CALIBRATION)
+    found = load_calibration(ARCHIVES / "0.2.0/calibration.toml")
     keys: list[str] = []
     for gain, late in ((1.0, 0.01), (1.1, 0.01), (1.1, 0.02)):
         save_calibration(lab / "calibration.toml", replace(found, gain=np.full(6, gain)), "x", "2026-01-01")
@@ -99,3 +100,14 @@ def test_trials_without_dates_are_in_the_order_of_import(lab: Path):
     logs = imports(lab, [episode(i) for i in (2, 0, 1)], 1.8)
     (found,), _ = measured_trials(lab / "out", held_out=1)
     assert (*found.moved, *found.held_out) == tuple(log.key for log in logs)
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])
+def test_a_trial_of_an_older_heft_is_replaced(tmp_path: Path, version: str):
+    folder = shutil.copytree(ARCHIVES / version, tmp_path / version)
+    (earlier,) = (
+        path.parent.name for path in folder.glob("imported/trials/*/trial.json") if '"sha256"' in path.read_text()
+    )
+    (log,) = import_logs(folder / "bench.toml", [folder / "turn.csv"], folder / "imported", None, None, lambda *_: None)
+    assert log.replaced == [earlier]
+    assert len(list(folder.glob("imported/trials/*"))) == 2

@@ -20,6 +20,7 @@ from testbed.objects.model import (
     ROBOTIQ_2F85,
     SPARE_OPENING,
     Grasp,
+    ObjectModel,
 )
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import JOINT_SPEED_LIMIT, Motion, arm_model

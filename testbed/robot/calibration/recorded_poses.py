@@ -97,7 +97,7 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
 def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
     """Poses of rows that have wrench and hand; the scatter of a fit, axis by axis, is the error of a reading."""
     _, moved, felt = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
-    pairs = zip(pose[1][moved].as_quat(scalar_first=True), wrench.values[felt], strict=True)
+    pairs = zip(pose[1].as_quat(scalar_first=True)[moved], wrench.values[felt], strict=True)
     poses = [StaticPose(hand, read, np.ones(6)) for hand, read in pairs]
     if len(poses) < FEWEST:
         raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")

@@ -81,9 +81,10 @@ class Push(Action, kind="push"):
                 raise InvalidValueError(f"Push.{name}", value, "a finite number")
         if not SPEEDS[0] <= self.speed <= SPEEDS[1]:
             raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
-        least = max(LEAST_LENGTH, self.speed * (RAMP_TIME + LEAST_CONTACT * self.pace) - self.gap)
-        if self.length < least - 1e-9:
-            raise InvalidValueError("Push.length", self.length, f"at least {least:.3g}, m, at {self.speed:g} m/s")
+        ramps = self.speed * RAMP_TIME - self.gap  # the way on which it is not at its speed
+        if self.length < LEAST_LENGTH or self.length <= ramps:
+            allowed = f"at least {LEAST_LENGTH:g}, m, and at {self.speed:g} m/s more than {ramps:.3g}"
+            raise InvalidValueError("Push.length", self.length, allowed)
 
     @classmethod
     def into(cls, face: Face, part: float = 0.5, angle: float = 0.0, curvature: float = 0.0) -> Self:

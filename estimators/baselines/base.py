@@ -232,7 +232,7 @@ class Baseline(ABC):
         elif left > FAR_OFF:
             status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
             why += "the search is too short, or the trajectories contradict each other"
-        elif (found.report or problem.shape.n_mu > 1) and (open_ := (found.report or problem.report(at)).ambiguity):
+        elif problem.shape.n_mu > 1 and (open_ := (found.report or problem.report(at)).ambiguity):
             status, why = "underdetermined", open_
         elif status == "ok" and covariance is not None and (loose := hardly_known(problem.shape, at.mass, covariance)):
             status, why = "underdetermined", loose

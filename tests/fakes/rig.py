@@ -12,7 +12,7 @@ import numpy as np
 
 from testbed import ObjectModel, Rotate, Sensing, Trajectory, Trial, preset
 from testbed.robot.config import RobotSettings
-from testbed.robot.interfaces import RobotError, SensorIdentity
+from testbed.robot.interfaces import RobotError
 from testbed.robot.kinova.arm import KortexArm
 from testbed.robot.kinova.gripper import KortexGripper
 from testbed.robot.path import KnownPose, starting_pose
@@ -92,9 +92,9 @@ processes on two cores) and 3 % at 11 ms (eight), in one run each; between them 
 class _QuietFt300s(Ft300s):
     """Sensor whose noise is below its counts of 0.01 N and 0.001 N m: its values repeat for long."""
 
-    @property
-    def identity(self) -> SensorIdentity:
-        return replace(super().identity, repeats=(10**6,) * 6, noise=(0.0,) * 6)
+    def __init__(self, port: str):
+        super().__init__(port)
+        self.identity = replace(self.identity, repeats=(10**6,) * 6, noise=(0.0,) * 6)
 
 
 def over_wires(model: ObjectModel, actions: Sequence[Rotate]) -> list[Trajectory]:

@@ -259,6 +259,7 @@ def test_a_wrong_trial_is_named(wrong, number):
     assert found.without < 1.5
 
 
+@pytest.mark.slow
 def test_of_two_trials_that_contradict_each_other_none_is_named():
     first, second = analytic_trial(OBJECT, Rotate(0)), analytic_trial(OBJECT, Rotate(1))
     wrong = replace(first, wrench_on_object_world=1.2 * first.wrench_on_object_world)

@@ -269,9 +269,10 @@ class Posterior:
         if not worst.of_rows or worst.trial is None:
             return worst
         residual, slopes = self.optimum.residual, torch.cat([rows.slopes for rows in self._rows_at_optimum])
+        rows_of = {trial: rows for _, rows, trial in self._measured}
 
         def without(part: Part) -> float:
-            rows = next(rows for _, rows, trial in self._measured if trial == part.trial)
+            rows = rows_of[part.trial]
             leverage, ways = torch.linalg.eigh(slopes[rows] @ self.laplace @ slopes[rows].T)
             return float(((ways.T @ residual[rows]).square() / (1 - leverage).clamp(min=LEAST_LEFT)).mean())
 

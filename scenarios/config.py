@@ -265,11 +265,15 @@ class Scenario(Strict):
         Raises:
             InvalidValueError: fewer than one seed, an unknown method or world, or a field that [sweep] sets.
         """
-        given = {"seeds": seeds, "objects": objects, "random": objects, "methods": methods, "world": world}
-        for field, value in (given | {"world.preset": world}).items():
-            if value and field in self.sweep.axes:
-                option = {"random": "objects", "world.preset": "world"}.get(field, field)
-                raise InvalidValueError(f"--{option}", value, f"none: [sweep] sets {field} in this scenario")
+        given = (
+            ("--seeds", seeds, ("seeds",)),
+            ("--objects", objects, ("objects", "random")),
+            ("--methods", methods, ("methods",)),
+            ("--world", world, ("world", "world.preset")),
+        )
+        for option, value, fields in given:
+            if value and (swept := [field for field in fields if field in self.sweep.axes]):
+                raise InvalidValueError(option, value, f"none: [sweep] sets {swept[0]} in this scenario")
         if seeds is not None and seeds < 1:
             raise InvalidValueError("--seeds", seeds, "an integer >= 1")
         changes: dict[str, object] = {} if seeds is None else {"seeds": seeds}

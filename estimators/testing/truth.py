@@ -21,8 +21,7 @@ from testbed.worlds.draw import WorldDraw
 from testbed.worlds.presets import WORLDS, World
 from testbed.worlds.setup_errors import PARAMETERS
 
-SECRET_WORDS = frozenset(("seed", "support", "stiffness", "preset", "truth", "total", "friction", "figures", "state"))
-SECRET_WORDS |= {"solids", "world", "draw"}
+SECRET_WORDS = frozenset("seed support stiffness preset truth total friction figures state solids world draw".split())
 """Words that no name of an attribute or of an entry that says anything may hold."""
 ALLOWED_NAMES = frozenset(("friction_group", "wrench_on_object_world", *PARAMETERS))
 """Names that say how the shape is divided, or how large an error may be, and no coefficient."""

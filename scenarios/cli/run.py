@@ -129,8 +129,16 @@ def run(
                 carry_out(study, folder, workers, progress, executor, recorder, views, secret)
             )
         results = rows_of(table)
-        given = {"seeds": seeds, "objects": objects or None, "methods": methods or None, "world": world, "data": data,
-                 "out": out, "secret": secret, "allow_code": allow_code}  # fmt: skip
+        given = {
+            "seeds": seeds,
+            "objects": objects or None,
+            "methods": methods or None,
+            "world": world,
+            "data": data,
+            "out": out,
+            "secret": secret,
+            "allow_code": allow_code,
+        }
         facts = {
             "name": name,
             "command": shlex.join(command_words("heft", "run", scenario, **given)),

@@ -78,7 +78,7 @@ def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
 
 
 def record_request(trial: Trial) -> dict[str, Any]:
-    """What was asked of a trial that the simulator did not make, as plain data, but for where it comes from."""
+    """Request of a trial that the simulator did not make, as plain data, without its origin."""
     return {
         "schema": SCHEMA_VERSION,
         "object": object_request(trial.object),

@@ -77,7 +77,7 @@ class Streams:
         return [one for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
 
     def early(self, seconds: float) -> Streams:
-        """The same with the wrench's stamps moved back."""
+        """Streams with the wrench's stamps moved back by a time [s]."""
         return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
 
     def within(self, from_s: float, to_s: float | None) -> Streams:

@@ -199,7 +199,7 @@ def gripped(trial: Trial) -> Grasp | None:
 
 
 def opening(trial: Trial) -> float:
-    """Opening of the fingers at work [m]: the width of what they hold; 0 for a push. Raises as `gripped`."""
+    """Distance between the pads during the motion [m]: the width of the grasp, 0 for a push. Raises as `gripped`."""
     grasp = gripped(trial)
     return 0.0 if grasp is None else grasp.width
 

@@ -61,7 +61,7 @@ def test_what_changes_a_trajectory_changes_its_key(lab: Path, monkeypatch: pytes
 
 
 def test_another_part_of_a_file_replaces_nothing(lab: Path):
-    """The same part does, by another mapping; of another file of that name, the earlier trial is noted."""
+    """A second import of one part replaces it, by any mapping; a part of another file of that name is noted."""
     (first,) = imports(lab, [episode(0)])
     (second,) = imports(lab, [episode(1)])
     assert not second.replaced and kept(lab) == {first.key, second.key}

@@ -17,7 +17,7 @@ from testbed.robot.recorder import GripEvidence, Record, doubts
 from testbed.sensing.windows import steady_windows, weight_of
 from testbed.trial import RIGID, Trial, TrialRunner
 from tests.fakes.faults import BOUND, FAULTS, LIVE, PHASES, struck_by, undisturbed
-from tests.fakes.robot import ACTION, robot_for, run_trial, small_object
+from tests.fakes.robot import ACTION, briefly, robot_for, run_trial, small_object
 from tests.fakes.world import BIAS
 from tests.helpers.runner_conformance import RECORD_RULES, RUNNER_RULES, Bench
 
@@ -38,7 +38,7 @@ def raw(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bench(raw) -> Bench:
     """The fake robot for the conformance suite: commanded motion is the time for which its arm has been driven."""
-    fake, runner = robot_for(CONFORMING, seed=1, raw=raw)
+    fake, runner = robot_for(CONFORMING, seed=1, raw=raw, change=briefly)
     return Bench(lambda: runner, CONFORMING, TOO_FAST, moved=lambda: float(sum(m[2] for m in fake.motion)))
 
 
@@ -52,7 +52,9 @@ def record(bench):
 def measured(action, request):
     """Record of an action."""
     conforms = action is CONFORMING.action
-    return request.getfixturevalue("record") if conforms else run_trial(Trial(OBJECT, action), seed=1)[0]
+    return (
+        request.getfixturevalue("record") if conforms else run_trial(Trial(OBJECT, action), seed=1, change=briefly)[0]
+    )
 
 
 @pytest.mark.slow
@@ -135,7 +137,7 @@ def test_nothing_moves_before_the_motion_was_shown_and_confirmed():
         trial,
         confirm=lambda text: shown.append(text) or len(shown) > 1,
         tracker=None,
-        change=lambda settings: replace(settings, tare_time=0.4, settle_time=0.6, hover=0.03),
+        change=briefly,
     )
     assert isinstance(runner, TrialRunner)
     with pytest.raises(RobotError, match="not connected"):

@@ -41,7 +41,7 @@ class RobotSettings:
     )
     """Orientation of the sensor's frame in the arm's tool frame, wxyz; from calibration."""
     sensor_sign: Literal[1, -1] = 1
-    """Factor that makes of the sensor's reading the wrench of the arm on the tool; from calibration."""
+    """Factor that converts the sensor's reading to the wrench of the arm on the tool; from calibration."""
     sensor_gain: Annotated[Float[np.ndarray, "6"], Range(0.5, 2, "")] = field(default_factory=lambda: np.ones(6))
     """Reading over true value, of each axis; from calibration."""
     closing_angle: Annotated[float, Range(-2 * math.pi, 2 * math.pi, "rad")] = 0.0
@@ -51,13 +51,13 @@ class RobotSettings:
     grip_height: Annotated[float, Range(0.002, 0.2, "m")] = 0.022
     """Height of the TCP over the table while holding [m]."""
     grip_force: Annotated[float, Range(1, 300, "N")] = 120.0
-    """Force of each finger [N]; a gripper without force control takes its own."""
+    """Force of each finger [N]; a gripper without force control ignores it."""
     hover: Annotated[float, Range(0.005, 0.3, "m")] = 0.06
     """Height over the grasp at which the sensor is tared [m]."""
     travel_speed: Annotated[float, Range(0.002, 0.25, "m/s")] = 0.1
-    """Speed between places over the table [m/s]."""
+    """Speed of travel over the table [m/s]."""
     descent_speed: Annotated[float, Range(0.002, 0.1, "m/s")] = 0.05
-    """Greatest speed down to the object, up, and lifting it [m/s]."""
+    """Greatest speed of descent, rise and lift [m/s]."""
     tare_time: Annotated[float, Range(0.2, 30, "s")] = 1.0
     """Duration of each of the two tares [s]."""
     settle_time: Annotated[float, Range(0.2, 30, "s")] = 1.5
@@ -66,36 +66,36 @@ class RobotSettings:
         5e-4,
         5e-3,
     )
-    """Gains by which the tool gives way to vertical load and to tilt [m/s/N, rad/s/(N m)]."""
+    """Gains by which the tool yields to vertical load and to tilting moment [m/s/N, rad/s/(N m)]."""
     null_travel: tuple[Annotated[float, Range(0, 0.02, "m")], Annotated[float, Range(0, 0.1, "rad")]] = (
         0.002,
         math.radians(0.5),
     )
-    """Most distance and angle by which it gives way [m, rad]."""
+    """Largest distance and angle by which the tool yields [m, rad]."""
     lift: Annotated[float, Range(0.002, 0.2, "m")] = 0.015
     """Height to which an object is lifted to be weighed [m]."""
     rate: Annotated[float, Range(20, 1000, "Hz")] = 40.0
     """Rate of twist commands [Hz]."""
     gain: Annotated[float, Range(0.1, 20, "1/s")] = 2.0
-    """Gain on an error of pose [1/s]."""
+    """Gain of the feedback on a pose error [1/s]."""
     off_path: tuple[Annotated[float, Range(0, 0.05, "m")], Annotated[float, Range(0, 0.2, "rad")]] = (
         0.005,
         math.radians(2.0),
     )
     """Distance and angle from the planned path that end a trial [m, rad]."""
     drift: DriftLimit = field(default_factory=DriftLimit)
-    """Limit on the drift of the sensor's zero in a trial that is data."""
+    """Limit on the drift of the sensor's zero in a valid trial."""
     setup: SetupErrors = UNSTATED
-    """Errors of the setup beside the sensor's, as the robot file states them."""
+    """Errors of the setup other than the sensor's, as stated in the robot file."""
     bias_std: tuple[_Force, _Torque] = preset("ft300s").force_bias, preset("ft300s").torque_bias
     """Standard deviation of the bias after a tare [N, N m]."""
     drift_std: tuple[_Force, _Torque] = preset("ft300s").force_drift, preset("ft300s").torque_drift
-    """Least random walk of the sensor's zero [N, N m per square root of a second]; no maker's figure is known. A trial
-    whose two tares show more counts with that."""
+    """Least random walk of the sensor's zero [N, N m per square root of a second]; the manufacturer states none. A
+    trial whose two tares show more is given the larger one."""
     camera: Camera = CAMERAS["30hz"]
-    """Errors of the camera, if there is one, as the robot file states them."""
+    """Errors of the camera, if any, as stated in the robot file."""
     tool_error: tuple[_Force, _Torque] = (0.35, 0.02)
-    """Largest difference of the tool's wrench from its weight when it is tilted before the first trial [N, N m]."""
+    """Largest error of the change of the tool's wrench under a tilt before the first trial [N, N m]."""
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     """Limits on every motion."""
 
@@ -107,7 +107,7 @@ class RobotSettings:
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
 
     def on_tool(self, reading: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 6"]:
-        """Wrench of the arm on the tool [N, N m], of the sensor's reading or a change of it, sensor axes."""
+        """Wrench of the arm on the tool [N, N m], sensor axes, from a reading of the sensor or a change of it."""
         return self.sensor_sign * reading / self.sensor_gain
 
 
@@ -173,7 +173,7 @@ class GripperTable(Strict):
 
     @property
     def hand(self) -> Hand:
-        """Size of the hand, by which rows of blocks can be taken."""
+        """Size of the hand, which determines the rows of blocks that it can grip."""
         return Hand(self.stroke_m, self.finger_width_m)
 
 
@@ -265,7 +265,7 @@ class RobotFile(Strict):
     setup: StatedSetup = UNSTATED
 
     def to_dict(self) -> dict[str, Any]:
-        """The file as plain data for a record; a device's name, settings and sizes only if not the defaults."""
+        """Plain data for a record; a device's name, settings and sizes only where they differ from the defaults."""
         unused = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}
         tables = self.model_dump(exclude={name for name, left in unused.items() if left})
         for name in ("arm", "sensor", "gripper"):
@@ -274,10 +274,10 @@ class RobotFile(Strict):
         return {name: table for name, table in tables.items() if table}
 
     def check_arm(self, arm: ArmIdentity) -> None:
-        """Hold an arm against the file.
+        """Compare an arm with the file.
 
         Raises:
-            InvalidValueError: the file names another serial number or firmware.
+            InvalidValueError: the file states another serial number or firmware.
         """
         for name in ("serial", "firmware"):
             wanted, found = getattr(self.arm, name), getattr(arm, name)
@@ -288,12 +288,12 @@ class RobotFile(Strict):
         """Settings of a trial.
 
         Args:
-            calibration: mount of the sensor, and mass and center of the tool; without one, for a dry run, the sensor
-                sits straight and the tool is the data sheet's.
-            sheet: the gripper's data sheet at the width of what it holds.
+            calibration: mount of the sensor, and mass and center of the tool; None, for a dry run, takes the sensor as
+                aligned with the hand and the tool from the data sheet.
+            sheet: the gripper's data sheet at the width of the held object.
 
         Raises:
-            InvalidValueError: a calibrated tool whose mass or center cannot be: a wrong sign or unit.
+            InvalidValueError: an implausible mass or center of the calibrated tool, as by a wrong sign or unit.
         """
         b, limits = self.bench, self.limits
         settings = RobotSettings(
@@ -336,11 +336,11 @@ class RobotFile(Strict):
 
 
 def calibration_of(file: RobotFile, path: Path, sensor: str | None = None) -> Calibration | None:
-    """The calibration that the robot file names, beside it; None before it is made.
+    """Load the calibration that the robot file names, relative to its folder; None if there is no such file.
 
     Raises:
         InvalidFileError: not a calibration file.
-        InvalidValueError: it was made with another sensor than the one of this serial number.
+        InvalidValueError: a calibration of a sensor with another serial number.
     """
     where = path.parent / file.sensor.calibration
     return load_calibration(where, sensor) if where.is_file() else None

@@ -1,6 +1,6 @@
-"""Run of a plan by the arm: hover, tare, go down, grip, settle, act, let go, go up, tare again.
+"""Execution of a plan by the arm: hover, tare, descend, grip, settle, act, release, rise, tare again.
 
-A push closes its fingers before the first tare, and they stay so.
+For a push the fingers close before the first tare, and remain closed.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from testbed.robot.safety import UnsafeError, Violation
 from testbed.trajectory import Phase
 
 RESPONSE = 0.15
-"""Allowed delay of an arm behind its commands [s]."""
+"""Allowed delay between a command and the motion of the arm [s]."""
 READ_TIME = 2.0
 """Duration of weighing a lifted object [s]."""
 _TILTED = math.radians(4)
-"""Angle by which the tool is tilted to be checked [rad]; the least limit is 5 degrees."""
+"""Tilt of the tool in its check [rad], below the least limit of 5 degrees."""
 _SHOWS = 0.3
-"""Change of the tool's weight along the sensor's axes that a tilt surely shows [N]: half is five standard errors."""
+"""Change of the tool's weight along the sensor's axes that a tilt must show [N]: half of it is five standard errors."""
 _STILL = 0.3
-"""Time in which the arm comes to rest [s]."""
+"""Time for the arm to come to rest [s]."""
 
 
 class Execution:
@@ -57,10 +57,10 @@ class Execution:
         """Run the plan.
 
         Args:
-            check_tool: tilt the tool over the object first, and hold the change of the wrench against its weight.
+            check_tool: tilt the tool above the object first, and compare the change of the wrench with its weight.
 
         Raises:
-            RobotError: something failed, or a limit was passed; the guard has stopped the arm.
+            RobotError: a device failed, or a limit was exceeded; the guard has stopped the arm.
         """
         lost = self._sensor.health().lost_frames
         self._go_to_hover()
@@ -75,7 +75,7 @@ class Execution:
         self.evidence = GripEvidence(self._sensor.health().lost_frames - lost, (before, after), None)
 
     def _go_to_hover(self) -> None:
-        """Go up first if the tool is low, so that nothing is swept off the table."""
+        """Rise first if the tool is low, so that nothing is swept off the table."""
         hover, now = self._plan.hover, self._guard.state().tcp_pose
         if self._plan.grasp is None:
             self._gripper.close_on(0.0, self._settings.grip_force)
@@ -91,7 +91,7 @@ class Execution:
         self._guard.check()
 
     def _check_tool(self) -> None:
-        """Tilt the tool, and back: a wrong sign, rotation, mass or center shows before anything is touched."""
+        """Tilt the tool, and back: a wrong sign, rotation, mass or center is detected before any contact."""
         hover = self._plan.hover
         turn = hover.rotation * Rotation.from_rotvec([_TILTED, 0.0, 0.0])
         level = self._held()
@@ -119,7 +119,7 @@ class Execution:
             )
 
     def _held(self) -> tuple[np.ndarray, np.ndarray]:
-        """Wrench at rest as measured, and by the tool's weight [N, N m], sensor axes, each (6,)."""
+        """Measured wrench at rest, and the wrench of the tool's weight [N, N m], sensor axes, each (6,)."""
         self._wait(_STILL)
         begin, settings = self._clock.now(), self._settings
         self._wait(_STILL)
@@ -130,14 +130,14 @@ class Execution:
         return measured, np.concatenate([force, np.cross(settings.tool.com, force)])
 
     def _tare(self) -> np.ndarray:
-        """Mean wrench at rest over the object without its first third [N, N m], shape (6,)."""
+        """Mean wrench at rest above the object, without the first third of the tare [N, N m], shape (6,)."""
         begin = self._clock.now()
         self._guard.recorder.mark(Mark(begin, Phase.TARE))
         self._wait(self._settings.tare_time)
         return self._guard.recorder.mean_wrench(begin + self._settings.tare_time / 3, self._clock.now())
 
     def _grip(self) -> float:
-        """Go down; close and settle, but for a push; returns the opening while it holds [m]."""
+        """Descend; unless the action is a push, also close and settle. Returns the opening of the gripper [m]."""
         settings, mark = self._settings, self._guard.recorder.mark
         mark(Mark(self._clock.now(), Phase.APPROACH))
         self._follow(self._plan.descent)
@@ -151,7 +151,7 @@ class Execution:
         return self._gripper.width()
 
     def _settle(self) -> None:
-        """Give way to vertical load and tilt, like a hand; the action then keeps that height and tilt."""
+        """Yield to vertical load and tilting moment (admittance control); the action keeps that height and tilt."""
         settings, step = self._settings, 1 / self._settings.rate
         begin, way = self._clock.now(), np.zeros(6)
         for tick in range(round(settings.settle_time * settings.rate)):
@@ -197,7 +197,7 @@ class Execution:
         self._follow(down)
 
     def _let_go(self) -> float:
-        """Open and go up; returns the opening before [m]."""
+        """Open the gripper and rise; returns the opening before [m]."""
         held = self._gripper.width()
         self._guard.recorder.mark(Mark(self._clock.now(), Phase.RELEASE))
         if self._plan.grasp is not None:
@@ -207,7 +207,7 @@ class Execution:
         return held
 
     def _wait(self, seconds: float) -> None:
-        """Stand still, with a look at the guard at every tick."""
+        """Wait, checking the guard at every tick."""
         until = self._clock.now() + seconds
         while (left := until - self._clock.now()) > 0:
             self._guard.check()
@@ -215,13 +215,13 @@ class Execution:
         self._guard.check()
 
     def _give_way(self, step: float) -> None:
-        """Rise or sink with the vertical load on the fingertip, as far as a grip settles: faces tilt."""
+        """Yield to the vertical load on the fingertip, as far as a grip settles, since faces tilt."""
         rate, most = self._settings.null_gain[0], self._settings.null_travel[0]
         way = -rate * step * float(self._load(self._guard.state())[2])
         self._raised[2] = np.clip(self._raised[2] + way, -most, most)
 
     def _follow(self, leg: Leg) -> None:
-        """Follow a leg by twists: its own velocity, and a correction of the pose."""
+        """Follow a leg by twists: its velocity plus a correction of the pose error."""
         begin, step = self._clock.now(), 1 / self._settings.rate
         for tick in range(math.ceil(leg.duration / step)):
             self._clock.sleep(begin + tick * step - self._clock.now())

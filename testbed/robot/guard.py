@@ -1,4 +1,4 @@
-"""Guard over arm, sensor and control loop during a trial: it stops the arm whatever the loop is doing."""
+"""Guard over arm, sensor and control loop during a trial: it stops the arm independently of the loop."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from testbed.robot.recorder import Recorder
 from testbed.robot.safety import FrameWatch, SafetyLimits, Snapshot, UnsafeError, Violation, load_violations, violations
 
 PERIOD = 0.01
-"""Time between looks [s]."""
+"""Time between checks [s]."""
 _GATE_TIME = 0.02
-"""Longest time that a twist on its way keeps the guard from stopping the arm [s]."""
+"""Longest time for which the guard waits for a twist in transit before it stops the arm [s]."""
 _STOP_AGAIN = 0.1
-"""Time between stops once it has tripped [s]."""
+"""Time between stop commands after the guard has tripped [s]."""
 
 
 class Guard:
-    """A thread that looks every 10 ms and takes the trial's record.
+    """Periodic check, every 10 ms in a thread, that also records the trial.
 
-    Once tripped it stays so: the arm is stopped, and no twist goes through any more.
+    A guard that has tripped stays tripped: the arm is stopped, and no further twist is sent.
     """
 
     def __init__(
@@ -45,10 +45,10 @@ class Guard:
         self._running = ExitStack()
 
     def __enter__(self) -> Self:
-        """Start; waits for the first frame and the first feedback.
+        """Start, and wait for the first frame and the first feedback.
 
         Raises:
-            RobotError: neither comes, or something is wrong from the start.
+            RobotError: one of them does not arrive, or a limit is exceeded from the start.
         """
         self._running.enter_context(self._clock.every(PERIOD, self._look))
         deadline = self._clock.now() + 1.0
@@ -70,14 +70,14 @@ class Guard:
             self._running.close()
 
     def rest(self, wrench: Float[np.ndarray, "6"]) -> None:
-        """Count loads from this wrench from now on, sensor axes; before, they count from the first frame."""
+        """Set the wrench from which loads are measured, sensor axes, (6,); until then it is the first frame's."""
         self._rest = wrench
 
     def check(self) -> None:
         """Give a sign of life of the control loop.
 
         Raises:
-            RobotError: tripped, or the guard itself no longer looks.
+            RobotError: the guard has tripped, or its periodic check has stopped.
         """
         self._beat = self._clock.now()
         if self.trouble is None and self._beat - self._looked > self._limits.age:
@@ -92,7 +92,7 @@ class Guard:
         return self.recorder.state
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Command a twist [m/s, rad/s], base axes, unless anything is wrong; raises as `check`, also beyond a limit."""
+        """Command a twist [m/s, rad/s], base axes; raises as `check`, also if the twist exceeds a limit."""
         self.check()
         command = np.concatenate([linear, angular])
         found = next(self._violations(self._beat, command), None)
@@ -116,7 +116,7 @@ class Guard:
         return sample.wrench - self._rest
 
     def _frame_violations(self, samples: list[WrenchSample]) -> Iterator[Violation]:
-        """Violations by every new frame, also by those that came before the newest."""
+        """Violations by every new frame, not only the newest."""
         for sample in samples:
             yield from self._frames.violations(sample.wrench)
             yield from load_violations(self._limits, self._load(sample))
@@ -132,7 +132,7 @@ class Guard:
                 raise _silent("silence of the control loop", now - self._beat, self._limits.age)
         except RobotError as error:
             self._trip(error)
-        except Exception as error:  # a guard that dies of a driver's mistake guards nothing
+        except Exception as error:  # an error of a driver must not end the guard
             self._trip(RobotError(f"{type(error).__name__}: {error}"))
         self._looked = now
         if self.trouble is not None and now - self._stopped > _STOP_AGAIN:
@@ -140,7 +140,7 @@ class Guard:
             self._arm.stop()
 
     def _trip(self, error: RobotError) -> None:
-        """Stop the arm. A twist that hangs on its way does not delay it: `stop` drops that twist."""
+        """Stop the arm. A twist that hangs in transit does not delay it: `stop` discards that twist."""
         if self.trouble is not None:
             return
         entered = self._gate.acquire(timeout=_GATE_TIME)

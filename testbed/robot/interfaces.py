@@ -1,4 +1,4 @@
-"""Interfaces of the real robot: arm, gripper, wrench sensor, object pose, clock; their values and their errors."""
+"""Interfaces of the real robot: arm, gripper, wrench sensor, object pose, clock; their data types and errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from testbed.validation import check_positive_fields, freeze_arrays, frozen_arra
 
 
 class RobotError(HeftError):
-    """Failure or refusal of the real robot; the message says what to do about it."""
+    """Failure or refusal of the real robot; the message states a remedy."""
 
 
 class MissingDriverError(RobotError, ImportError):
@@ -31,7 +31,7 @@ class MissingDriverError(RobotError, ImportError):
 
 
 class SensorLostError(RobotError):
-    """The wrench sensor is gone, silent, or sends nothing that can be read."""
+    """The wrench sensor is disconnected or silent, or its data cannot be read."""
 
 
 class ArmLostError(RobotError):
@@ -44,18 +44,18 @@ class ArmRefusedError(RobotError):
 
 @runtime_checkable
 class Clock(Protocol):
-    """Time: the computer's own, or a simulated robot's that runs faster."""
+    """Source of time: the computer's clock, or the faster one of a simulated robot."""
 
     def now(self) -> float:
-        """Time since any moment [s]; the clock of every `time_s` of the interfaces."""
+        """Time since an arbitrary epoch [s], on which every `time_s` of the interfaces is based."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait; not at all for `seconds` <= 0."""
+        """Wait; return at once for `seconds` <= 0."""
         ...
 
     def every(self, period: float, call: Callable[[], None]) -> AbstractContextManager[None]:
-        """Call `call` every `period` s while entered, whatever the caller does, also if it hangs."""
+        """Call `call` every `period` s while entered, even if the caller hangs."""
         ...
 
 
@@ -73,7 +73,7 @@ class MonotonicClock:
 
     @contextmanager
     def every(self, period: float, call: Callable[[], None]) -> Iterator[None]:
-        """Call from a daemon thread; a late call is made at once, missed ones are not."""
+        """Call from a daemon thread; a late call is made at once, missed ones are skipped."""
         done = threading.Event()
 
         def run() -> None:
@@ -106,7 +106,7 @@ class Pose:
 
     @property
     def rotation(self) -> Rotation:
-        """Turn from the base's axes to the frame's."""
+        """Rotation from the axes of the frame to those of the base."""
         return Rotation.from_quat(self.orientation, scalar_first=True)
 
 
@@ -124,7 +124,7 @@ class WrenchSample:
 
 @dataclass(frozen=True)
 class SensorIdentity:
-    """Name and abilities of a sensor."""
+    """Name and characteristics of a sensor."""
 
     name: str
     """Maker and model."""
@@ -135,19 +135,19 @@ class SensorIdentity:
     rate_hz: float
     """Frame rate [Hz]."""
     force_range: float = math.inf
-    """Largest force along an axis that it measures [N]."""
+    """Largest measurable force along an axis [N]."""
     torque_range: float = math.inf
-    """Largest torque about an axis that it measures [N m]."""
+    """Largest measurable torque about an axis [N m]."""
     repeats: tuple[int, ...] = (20,) * 6
-    """Most equal values in a row of each component: its noise allows no more."""
+    """Largest number of equal values in a row of each component that its noise permits."""
     noise: tuple[float, ...] | None = None
-    """Standard deviation of each component at rest, per frame [N, N m]; 0 allows any, None takes that of its first 50
-    frames."""
+    """Standard deviation of each component at rest, per frame [N, N m]; 0 disables the check on it, None estimates it
+    from the first 50 frames."""
 
 
 @dataclass(frozen=True)
 class ArmIdentity:
-    """Name of an arm; what it does not report is "unknown"."""
+    """Model and versions of an arm, "unknown" if it does not report them."""
 
     model: str = "unknown"
     """Model number."""
@@ -167,17 +167,17 @@ class SensorHealth:
     frames: int
     """Whole frames received."""
     crc_errors: int
-    """Frames whose checksum did not fit."""
+    """Frames with a wrong checksum."""
     resyncs: int
-    """Times that bytes had to be skipped to find the next frame."""
+    """Number of times that bytes were skipped to find the next frame."""
     lost_frames: int
-    """Frames that were due by the sensor's rate and did not come: damaged or missing."""
+    """Frames that were due by the sensor's rate and did not arrive: damaged or missing."""
     dropouts: int
-    """Silences of several frames that ended by themselves."""
+    """Gaps of several frames after which the stream resumed."""
     age_s: float
     """Time since the latest whole frame [s]; infinite before the first."""
     warnings: tuple[str, ...] = ()
-    """Trouble with the connection that a trial can do with, a sentence each."""
+    """Defects of the connection that do not prevent a trial, a sentence each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ class ArmState:
 
 
 class Device(Protocol):
-    """A connection: entering opens it, leaving closes it."""
+    """A device as a context manager: entering connects, leaving disconnects."""
 
     def __enter__(self) -> Self: ...
 
@@ -243,14 +243,14 @@ class WrenchSensor(Device, Protocol):
 
     @property
     def identity(self) -> SensorIdentity:
-        """Name and abilities; serial and firmware are "unknown" before it is entered."""
+        """Name and characteristics; serial and firmware are "unknown" before it is entered."""
         ...
 
     def drain(self) -> Sequence[WrenchSample]:
-        """Every frame since the last drain, in order; nothing is dropped between.
+        """Every frame since the last drain, in order, none dropped.
 
         Raises:
-            SensorLostError: unplugged, or silent for too long, and all that came before has been drained.
+            SensorLostError: unplugged, or silent for too long, once all earlier frames have been drained.
         """
         ...
 
@@ -284,7 +284,7 @@ class Arm(Device, Protocol):
     def move_to(self, pose: Pose, speed: float) -> None:
         """Move the TCP to a pose at no more than `speed` [m/s]; returns on arrival or after `stop`.
 
-        Watchdog: another thread must poll `state` meanwhile, or the arm stops.
+        Watchdog: unless another thread polls `state` meanwhile, the arm stops.
 
         Raises:
             ArmRefusedError: in a fault, or the pose was refused or not reached.
@@ -295,7 +295,7 @@ class Arm(Device, Protocol):
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
         """Move the TCP at a velocity [m/s, rad/s], base axes, until the next command; returns at once.
 
-        The arm stops by itself after a while without a further twist; its driver sees to that.
+        Watchdog: the driver stops the arm after a time without a further twist.
 
         Raises:
             ArmRefusedError: in a fault, or beyond its limits.
@@ -304,9 +304,9 @@ class Arm(Device, Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop all motion. From any thread, any number of times, also at rest or without a connection.
+        """Stop all motion. Callable from any thread and repeatedly, also at rest or without a connection.
 
-        Earlier twists and poses no longer count, also those still on their way.
+        Earlier twists and poses are discarded, including those in transit.
         """
         ...
 
@@ -325,30 +325,30 @@ class Gripper(Protocol):
         ...
 
     def close_on(self, width: float, force: float) -> None:
-        """Close on something `width` [m] wide with `force` [N]; returns when it holds.
+        """Close on an object `width` [m] wide with `force` [N]; returns when it is held.
 
         Raises:
-            ArmRefusedError: closed on nothing or something else, not closed, or refused.
+            ArmRefusedError: another width than expected after closing, or refused.
         """
         ...
 
     def open(self, width: float | None) -> None:
-        """Open until the pads are `width` [m] apart, None as far as they go; returns when they stand.
+        """Open until the pads are `width` [m] apart, None for the full stroke; returns when they are at rest.
 
         Raises:
-            ArmRefusedError: not opened so far, or refused.
+            ArmRefusedError: another width than expected after opening, or refused.
         """
         ...
 
 
 @runtime_checkable
 class ObjectPose(Protocol):
-    """Source of the object's pose: a known place, or a tracker."""
+    """Source of the object's pose: a known pose, or a tracker."""
 
     def read(self) -> tuple[float, float, float]:
         """Planar pose of the object frame in the arm's base frame: x, y [m] and yaw [rad].
 
         Raises:
-            RobotError: not known now.
+            RobotError: the pose is unknown.
         """
         ...

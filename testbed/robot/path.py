@@ -1,4 +1,4 @@
-"""Path of a trial: where the object lies, its legs over the table, which twists follow, and the plan of all."""
+"""Plan of a trial: pose of the object, and the legs of the tool's path, which the arm follows by twists."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class KnownPose:
-    """An `ObjectPose`: the place into which a person has put the object."""
+    """An `ObjectPose` stated by the user, who has placed the object."""
 
     x: float
     """Position [m], base frame."""
@@ -83,7 +83,7 @@ class Line:
 
     @classmethod
     def at_most(cls, start: np.ndarray, end: np.ndarray, yaw: float, speed: float) -> Self:
-        """Line of greatest speed `speed` [m/s]."""
+        """Line with a peak speed of `speed` [m/s]."""
         return cls(start, end, yaw, max(1.875 * float(np.linalg.norm(end - start)) / speed, 0.1))
 
     def at(self, time: float) -> Target:
@@ -99,7 +99,7 @@ class Acting:
 
     path: ToolPath
     height: float
-    """Height of the TCP where the grip holds [m], base frame."""
+    """Height of the TCP while holding [m], base frame."""
 
     @property
     def duration(self) -> float:
@@ -113,7 +113,7 @@ class Acting:
 
 
 Leg = Line | Acting
-"""A stretch of the path: pose and velocity of the tool over the time since it began."""
+"""A part of the path: pose and velocity of the tool over the time since its begin."""
 
 
 def sampled(leg: Leg) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 6"], Float[np.ndarray, "N"]]:
@@ -129,16 +129,16 @@ class RobotPlan:
 
     trial: Trial
     grasp: Grasp | None
-    """Gripped faces; None for a push, by closed fingers."""
+    """Gripped faces; None for a push."""
     object_pose: Float[np.ndarray, "3"]
     """Planar pose of the object [m, rad], base frame."""
     hover: Pose
     """Pose at which the sensor is tared."""
     descent: Line
     act: Acting | None
-    """None for a weighing."""
+    """Leg of the action; None for a weighing."""
     lift_and_down: tuple[Line, ...]
-    """Legs of a weighing; none else."""
+    """Legs of a weighing, else empty."""
     rise: Line
 
     @property
@@ -149,7 +149,7 @@ class RobotPlan:
         return {"down to the object": self.descent, **work, "up again": self.rise}
 
     def duration(self, settings: RobotSettings) -> float:
-        """Approximate duration [s], without the way to the first place."""
+        """Approximate duration [s], without the travel to the hover pose."""
         waits = 2 * settings.tare_time + settings.settle_time + 2.0
         return waits + sum(leg.duration for leg in self.legs.values())
 
@@ -157,11 +157,11 @@ class RobotPlan:
         """Check the path against the limits.
 
         Raises:
-            InfeasibleTrialError: a place outside the box, or a speed or a tilt beyond its limit.
+            InfeasibleTrialError: a position outside the box, or a speed or a tilt beyond its limit.
         """
         for name, leg in self.legs.items():
             positions, twists, tilts = sampled(leg)
-            tilts += settings.null_travel[1] * (tilts > 0)  # the grip may have settled askew
+            tilts += settings.null_travel[1] * (tilts > 0)  # the settled grip may be tilted
             for violation in path_violations(settings.limits, positions, twists, tilts):
                 raise InfeasibleTrialError(
                     f"limit: {name}: {violation}; choose another place, or a shorter, slower or less tilted action"
@@ -169,7 +169,7 @@ class RobotPlan:
 
 
 def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
-    """Planar pose of the object [m, rad] that gives the simulation's path."""
+    """Planar pose of the object [m, rad], shape (3,), for which the path is that of the simulation."""
     if trial.action.moves:
         return trial.action.centered_pose(trial.object.shape, PROFILE_STEP)
     grasp = weighing_grasp(trial.object.shape)
@@ -177,10 +177,10 @@ def starting_pose(trial: Trial) -> Float[np.ndarray, "3"]:
 
 
 def weighing_grasp(shape: ObjectShape) -> Grasp:
-    """Grasp nearest the middle, by which the object is lifted.
+    """Grasp nearest the origin of the object frame, by which the object is lifted.
 
     Raises:
-        InfeasibleTrialError: there is none.
+        InfeasibleTrialError: the object has no grasp.
     """
     if not shape.grasps:
         raise InfeasibleTrialError("grip: nothing is grippable, so it cannot be lifted; weigh it on a scale")
@@ -205,7 +205,7 @@ def opening(trial: Trial) -> float:
 
 
 def plan_trial(trial: Trial, object_pose: Float[np.ndarray, "3"], settings: RobotSettings) -> RobotPlan:
-    """Plan of a trial for an object at a planar pose [m, rad], base frame; not checked yet.
+    """Plan a trial for an object at a planar pose [m, rad], base frame, without a check of the limits.
 
     Raises:
         InfeasibleTrialError: nothing to grip, or no place for the fingertip of a push.
@@ -249,7 +249,7 @@ def closing_yaw(orientation: Float[np.ndarray, "N 4"], settings: RobotSettings) 
 
 
 def described(plan: RobotPlan, settings: RobotSettings) -> str:
-    """The motion in words, a line per leg: places, speeds, times, and the path's distance from its limits."""
+    """Description of the motion for the user: positions, speeds and durations per leg, and the path's bounding box."""
     x, y, yaw = plan.object_pose
     turned = math.degrees(math.remainder(yaw, math.tau))
     place = ", ".join(f"{v:.3f}" for v in plan.hover.position)
@@ -267,17 +267,17 @@ def described(plan: RobotPlan, settings: RobotSettings) -> str:
             f"fingers: they close first; the fingertip, of radius {tip.radius * 1e3:g} mm, has its middle "
             f"{below * 1e3:.1f} mm below the tool center point"
         )
-    everywhere = []
+    path = []
     for name, leg in plan.legs.items():
         positions, twists, tilts = sampled(leg)
-        everywhere.append(positions)
+        path.append(positions)
         ends = " to ".join(f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f})" for p in positions[[0, -1]])
         speed, turn = (np.linalg.norm(twists[:, part], axis=1).max() for part in (slice(0, 3), slice(3, 6)))
         lines.append(
             f"{name}: {ends} m in {leg.duration:.1f} s, at most {speed:.3f} m/s and {math.degrees(turn):.1f} deg/s"
             + (f", tilted by up to {math.degrees(tilts.max()):.1f} deg" if tilts.max() > 1e-6 else "")
         )
-    low, high = np.concatenate(everywhere).min(axis=0), np.concatenate(everywhere).max(axis=0)
+    low, high = np.concatenate(path).min(axis=0), np.concatenate(path).max(axis=0)
     box = zip("xyz", low, high, settings.limits.low, settings.limits.high, strict=True)
     lines += [f"{axis}: {a:.3f} to {b:.3f} m; allowed {c:.3f} to {d:.3f} m" for axis, a, b, c, d in box]
     return "\n".join(lines)

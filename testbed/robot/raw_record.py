@@ -1,4 +1,4 @@
-"""Raw record of a trial, a text file written as it comes: all that is left where a trial ended badly."""
+"""Raw record of a trial: a text file written during the trial, complete up to a failure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from testbed.robot.camera.interface import SeenFrame
 from testbed.robot.interfaces import ArmState, RobotError, WrenchSample
 
 SPACE = 20_000_000
-"""Free space on the disk without which no trial begins [byte]: some ten minutes of it."""
+"""Least free space on the disk at the start of a trial [byte]: enough for ten minutes of recording."""
 _HEAD = """\
 frame,time_s,sequence,fx,fy,fz,tx,ty,tz
 state,time_s,q1..q7,qd1..qd7,x,y,z,qw,qx,qy,qz,vx,vy,vz,wx,wy,wz
@@ -26,11 +26,11 @@ end,time_s,status,reason
 
 
 class RawRecord:
-    """A line for every frame, NaN too, every feedback, and the begin of every phase [s, N, N m, rad, m]; the last line
-    says how it ended. The lines at its top name the columns."""
+    """Text file with a line for every frame (NaN included), every feedback and the begin of every phase [s, N, N m,
+    rad, m]. The first lines name the columns; the last line states status and reason."""
 
     def __init__(self, folder: Path):
-        """Begin a file, named by the time now.
+        """Create a file named by the current time.
 
         Raises:
             RobotError: the folder cannot be written to, or the disk is nearly full.
@@ -65,12 +65,12 @@ class RawRecord:
         self._write("".join(f"seen,{f.time_s:.6f},{_numbers(f.poses.ravel())}\n" for f in frames))
 
     def mark(self, time_s: float, phase: str) -> None:
-        """Write the begin of a phase; a failure shows at the next frame."""
+        """Write the begin of a phase; a failure is raised at the next frame."""
         with suppress(RobotError):
             self._write(f"mark,{time_s:.6f},{phase}\n")
 
     def end(self, time_s: float, status: str, reason: str) -> None:
-        """Write the end, and close; a full disk keeps what there is."""
+        """Write status and reason, and close; on a full disk the lines before them remain."""
         with suppress(RobotError, OSError):
             self._write(f"end,{time_s:.6f},{status},{' '.join(reason.split())}\n")
             os.fsync(self._file.fileno())

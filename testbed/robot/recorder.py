@@ -1,4 +1,4 @@
-"""Record of a trial by arm and sensor on the sensor's time base, and the reasons for which it is no data."""
+"""Record of a trial by arm and sensor on the sensor's time base, and checks of its validity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from testbed.sensing.series import interpolated, runs
 from testbed.trajectory import Phase, Status
 
 _SMOOTHING = 11
-"""Feedbacks over which the hand's velocity is smoothed: 0.1 s, as in the compensation of the tool."""
+"""Window over which the hand's velocity is smoothed [feedbacks]: 0.1 s, as in the compensation of the tool."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Record:
     tcp_orientation: Float[np.ndarray, "T 4"]
     """Orientation of the tool frame, wxyz, base frame."""
     tcp_velocity: Float[np.ndarray, "T 6"]
-    """Velocity from the poses [m/s, rad/s], base axes."""
+    """Linear and angular velocity from the poses [m/s, rad/s], base axes."""
     joint_position: Float[np.ndarray, "T 7"]
     """Joint angles [rad], without jumps after full turns."""
     wrench_gap: float
@@ -64,7 +64,7 @@ class Record:
 
 
 class Recorder:
-    """Collector of frames and feedback: one thread takes, any may mark."""
+    """Recorder of frames and feedback. `take` is for one thread, `mark` for any."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class Recorder:
             camera.drain()
 
     def take(self, now: float) -> list[WrenchSample]:
-        """Take in all new frames and feedback at a time [s]; returns the frames.
+        """Record all new frames and feedback at the time `now` [s]; returns the frames.
 
         Raises:
             RobotError: sensor, arm or camera is lost, or the raw record cannot be written.
@@ -117,7 +117,7 @@ class Recorder:
         return self._samples[-1] if self._samples else None
 
     def mark(self, mark: Mark) -> None:
-        """Note the begin of a phase."""
+        """Record the begin of a phase."""
         self._marks.append(mark)
         if self._raw is not None:
             self._raw.mark(mark.time_s, mark.phase.name)
@@ -126,7 +126,7 @@ class Recorder:
         """Mean wrench between two moments [N, N m], sensor axes, shape (6,).
 
         Raises:
-            RobotError: there is none.
+            RobotError: no frame lies between them.
         """
         kept = [sample.wrench for sample in list(self._samples) if begin <= sample.time_s <= end]
         if not kept:
@@ -134,9 +134,10 @@ class Recorder:
         return np.mean(kept, axis=0)
 
     def record(self, end: float) -> Record | None:
-        """Frames from the first mark to `end` [s], as far as the arm's feedback goes; None without any.
+        """Record from the first mark to `end` [s], limited to the range of the arm's feedback; None without frames.
 
-        Without a mark it begins with the first frame, as on the way. Frames with NaN are in the raw record alone.
+        Without a mark it begins with the first frame, in phase APPROACH. Frames with NaN are omitted; the raw record
+        has them.
         """
         if not self._samples or len(self._states) < 2:
             return None
@@ -191,7 +192,7 @@ def _rotation(quaternion: np.ndarray) -> Rotation:
 
 
 def _velocity(time: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Linear and angular velocity from poses, (N, 6): an arm's own twist leaves its axes open."""
+    """Linear and angular velocity from poses [m/s, rad/s], (N, 6), since the axes of an arm's own twist may differ."""
     last = len(time) - 1
     before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
     step = (time[after] - time[before])[:, None]
@@ -206,27 +207,27 @@ def _longest_gap(time: np.ndarray, begin: float, end: float) -> float:
 
 
 SLIP_LIMIT = (0.003, math.radians(1.5))
-"""Movement in the grip beyond which a trial is no data [m, rad], as in the simulation."""
+"""Largest movement in the grip in a valid trial [m, rad], as in the simulation."""
 WIDTH_LIMIT = 0.0015
-"""Change of the gripper's opening while it held [m]: something left the grip, or the fingers opened."""
+"""Largest change of the gripper's opening while holding [m]; a larger one indicates a lost grip."""
 GAP_LIMIT = 0.05
-"""Silence of sensor or arm [s]."""
+"""Longest gap between frames or feedbacks [s]."""
 LOST_LIMIT = 0.01
-"""Allowed part of lost frames."""
+"""Largest fraction of lost frames."""
 COVERED = 0.95
-"""Required part of a steady stretch's frames."""
+"""Least fraction of a steady stretch's frames."""
 _BLOCK = 10
-"""Frames of a mean whose change from the tare is judged."""
+"""Number of frames per mean that is compared with the tare."""
 CHANGE = 6.0
-"""Least change of the wrench from the tare to the motion, over the standard error of such a mean: 0.13 N, or 0.002 N m
-about z, of an FT-300S. Frames correlate: it is 4.4 true errors, which some 100 means do not reach by chance."""
+"""Least change of the wrench from the tare to the motion, in standard errors of such a mean: 0.13 N, or 0.002 N m about
+z, for an FT-300S. With correlated frames it is 4.4 true standard errors, which 100 means do not reach by chance."""
 RESTLESS = 0.5
-"""Standard deviation of force during a tare beyond which something touches or shakes the tool [N]."""
+"""Largest standard deviation of the force during a tare [N]; more indicates contact or vibration of the tool."""
 
 
 @dataclass(frozen=True, eq=False)
 class GripEvidence:
-    """Evidence on a trial besides its record."""
+    """Measurements of a trial in addition to its record."""
 
     lost_frames: int
     """Frames lost during the trial."""
@@ -243,7 +244,7 @@ class GripEvidence:
 
 
 def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Iterator[tuple[Status, str]]:
-    """Every reason against the record, with its status; `testbed.sensing.drift` judges drift."""
+    """Status and reason of every defect of a record, drift excepted, which `testbed.sensing.drift` checks."""
     change = abs(evidence.held_width[1] - evidence.held_width[0])
     if not change <= WIDTH_LIMIT:
         yield "slipped", f"the gripper's opening changed by {change * 1e3:.1f} mm while it held"
@@ -271,13 +272,13 @@ def doubts(record: Record, evidence: GripEvidence, path: ToolPath | None) -> Ite
 
 
 def _change(record: Record) -> float:
-    """Largest change of any component from the first tare to the motion, in standard errors of ten frames' mean."""
+    """Largest change of a component from the first tare to the motion, in standard errors of a `_BLOCK` mean."""
     tares, moving = runs(record.during(Phase.TARE)), np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))
     if not tares or len(moving) < _BLOCK:
         return math.inf
     tare = record.wrench[tares[0]]
     blocks = record.wrench[moving[: len(moving) // _BLOCK * _BLOCK]].reshape(-1, _BLOCK, 6).mean(axis=1)
-    noise = np.diff(tare, axis=0).std(axis=0) / math.sqrt(2)  # a tare that scatters slowly is another matter
+    noise = np.diff(tare, axis=0).std(axis=0) / math.sqrt(2)  # slow scatter of a tare is checked elsewhere
     error = np.maximum(noise, 1e-6) / math.sqrt(_BLOCK)
     return float((np.abs(blocks - tare.mean(axis=0)) / error).max())
 

@@ -1,7 +1,7 @@
-"""Arms, wrench sensors, grippers and cameras by name: heft's own, installed ones, and "package:Class".
+"""Registry of arms, wrench sensors, grippers and cameras: built-in names, entry points, and "package:Class".
 
-The robot file names one of each (`model`). A class takes its settings as arguments: those of its `settings` table, and
-those that the file has for every robot (`address`, `port`, ...) as far as the class takes them.
+The robot file names one of each (`model`). Arguments of the class are those of its `settings` table, and those fields
+of its own table that the class has as parameters (`address`, `port`, ...).
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ DEVICES = {
     GRIPPER: {"2f85": "testbed.robot.kinova.gripper:KortexGripper"},
     CAMERA: {"udp": "testbed.robot.camera.udp:UdpCamera"},
 }
-"""heft's own devices by name; imported when they are used, since each needs its driver."""
+"""Built-in devices by name; imported on use, since each needs its driver."""
 DEFAULT = "robot.toml"
-"""Name of the robot file that may be missing: then its defaults hold."""
+"""Name of the robot file; without the file the defaults apply."""
 _TABLES = {ARM: "arm", SENSOR: "sensor", GRIPPER: "gripper", CAMERA: "camera"}
 _FILLED = {
     ARM: ("address", "port", "username", "tool_length", "password"),
@@ -62,18 +62,17 @@ _FILLED = {
     GRIPPER: ("arm",),
     CAMERA: (),
 }
-"""Arguments that heft fills in from the table's own fields, where a class takes them."""
+"""Arguments filled in from the fields of the table, where a class has such a parameter."""
 PASSWORD_VARIABLE = "HEFT_KORTEX_PASSWORD"
-"""Environment variable with the password of the arm's user; the maker's own if not set."""
+"""Environment variable with the password of the arm's user; the manufacturer's default if not set."""
 
 
 def load_robot_file(path: Path) -> RobotFile:
-    """The robot file with the numbers of its devices' settings checked, or its defaults if none has the usual name.
+    """Load a robot file and check the numbers of its devices' settings; the defaults if there is no `robot.toml`.
 
     Raises:
         InvalidFileError: not a robot file, with a line for each error.
-        InvalidValueError: no file, and another name than the usual one; a device's number outside its range or without
-            one.
+        InvalidValueError: no file of another name; a device's number outside its range, or without a range.
     """
     if not path.is_file():
         if path.name != DEFAULT:
@@ -83,7 +82,7 @@ def load_robot_file(path: Path) -> RobotFile:
     for role, table in _TABLES.items():
         device = getattr(file, table)
         if device.model is None or (device.model in DEVICES[role] and not device.settings):
-            continue  # nothing to check; heft's own drivers are imported when they are used
+            continue  # nothing to check; built-in drivers are imported on use
         try:
             kind = _class_of(role, device.model, f"{table}.model")
         except HeftError:  # building the device, which a dry run does not do, raises this again
@@ -93,7 +92,7 @@ def load_robot_file(path: Path) -> RobotFile:
 
 
 def build_arm(file: RobotFile) -> Arm:
-    """The robot file's arm, not yet connected.
+    """Construct the robot file's arm, not yet connected.
 
     Raises:
         InvalidValueError: no such arm, or a setting that it refuses.
@@ -105,7 +104,7 @@ def build_arm(file: RobotFile) -> Arm:
 
 
 def build_sensor(file: RobotFile, port: str | None = None) -> WrenchSensor:
-    """The robot file's sensor, not yet opened; `port` replaces the file's.
+    """Construct the robot file's sensor, not yet opened; `port` overrides the file's.
 
     Raises:
         InvalidValueError: no such sensor, no port for one that needs it, or a setting that it refuses.
@@ -121,7 +120,7 @@ def build_sensor(file: RobotFile, port: str | None = None) -> WrenchSensor:
 
 
 def build_gripper(file: RobotFile, arm: Arm) -> Gripper:
-    """The robot file's gripper, on its arm.
+    """Construct the robot file's gripper on an arm.
 
     Raises:
         InvalidValueError: no such gripper, or a setting that it refuses.
@@ -130,7 +129,7 @@ def build_gripper(file: RobotFile, arm: Arm) -> Gripper:
 
 
 def build_camera(file: RobotFile) -> ObjectCamera | None:
-    """The robot file's camera, not yet opened; None without one.
+    """Construct the robot file's camera, not yet opened; None if the file names none.
 
     Raises:
         InvalidValueError: no such camera, or a setting that it refuses.
@@ -140,7 +139,7 @@ def build_camera(file: RobotFile) -> ObjectCamera | None:
 
 
 def gripper_class(file: RobotFile) -> type[Gripper]:
-    """Class of the robot file's gripper: its `data_sheet` needs no connection.
+    """Class of the robot file's gripper, whose `data_sheet` needs no connection.
 
     Raises:
         InvalidValueError: no such gripper.
@@ -167,5 +166,5 @@ def _class_of(role: Role[T], name: str, field: str) -> type[T]:
 def _build(role: Role[T], name: str, settings: Mapping[str, Any], table: str, offered: Mapping[str, Any]) -> T:
     kind = _class_of(role, name, f"{table}.model")
     check_settings(kind, settings, f"{table}.settings", skip=_FILLED[role])
-    rest = {key: value for key, value in offered.items() if key not in settings}
-    return configured(kind, settings, f"{table}.settings", given=rest)
+    filled = {key: value for key, value in offered.items() if key not in settings}
+    return configured(kind, settings, f"{table}.settings", given=filled)

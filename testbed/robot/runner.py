@@ -42,7 +42,7 @@ from testbed.trial import Trial
 class RealRunner:
     """A `TrialRunner` on a real arm, gripper and wrench sensor. Entering it connects and moves nothing.
 
-    Any end of a trial - its own, an error, a limit, Ctrl-C, SIGTERM, SIGHUP, a lost sensor or arm - stops the arm.
+    The arm is stopped at any end of a trial: completion, an error, a limit, Ctrl-C, SIGTERM, SIGHUP, a lost device.
     """
 
     def __init__(
@@ -59,19 +59,19 @@ class RealRunner:
         raw: Path | None = None,
         clock: Clock | None = None,
     ):
-        """Describe the robot; nothing is connected.
+        """Create the runner without connecting.
 
         Args:
-            arm: entered with the runner, like the sensor.
-            gripper: on that arm.
-            sensor: between the two.
-            object_pose: pose of the object before each trial.
+            arm: arm, entered with the runner.
+            gripper: gripper on that arm.
+            sensor: wrench sensor between the two, entered with the runner.
+            object_pose: source of the object's pose before each trial.
             settings: table, tool, speeds and limits.
-            confirm: takes the first motion in words; True if it may be made.
-            tracker: measures the object's pose after a trial, and so its slip in the grip; without it slip is unknown.
-            camera: sees what the hand does not hold: pushes, and objects with hinges, need it.
-            raw: folder in which every trial is written as it comes (`RawRecord`); None: only at its end.
-            clock: clock of arm and sensor; the computer's own if left out.
+            confirm: function of the description of the first motion; True permits it.
+            tracker: source of the object's pose after a trial, for its slip in the grip; without it slip is unknown.
+            camera: camera, entered with the runner; required for pushes and objects with hinges.
+            raw: folder for the raw record of each trial (`RawRecord`); None for none.
+            clock: clock of arm and sensor; the computer's monotonic clock if left out.
         """
         self._arm, self._gripper, self._sensor, self._object_pose = arm, gripper, sensor, object_pose
         self._settings, self._confirm, self._tracker = settings, confirm, tracker
@@ -85,7 +85,7 @@ class RealRunner:
         """Connect sensor, camera and arm.
 
         Raises:
-            RobotError: one of them cannot be reached, or is not as expected.
+            RobotError: a device cannot be reached, or is not the expected one.
         """
         with ExitStack() as stack:
             stack.enter_context(terminable())
@@ -103,11 +103,11 @@ class RealRunner:
             connections.close()
 
     def plan(self, trial: Trial) -> RobotPlan:
-        """Plan of a trial. Moves nothing, and needs no connection but the object's pose.
+        """Plan a trial, without motion; only the source of the object's pose is read.
 
         Raises:
-            InfeasibleTrialError: a place outside the box, a speed beyond its limit, or a camera that is missing.
-            RobotError: the object's pose is not known.
+            InfeasibleTrialError: a position outside the box, a speed beyond its limit, or a missing camera.
+            RobotError: the object's pose is unknown.
         """
         if self._camera is None and trial.action.needs_camera(trial.object.shape):
             raise InfeasibleTrialError(
@@ -121,12 +121,12 @@ class RealRunner:
         """Run one trial.
 
         Returns:
-            The measurement. Status `limit` if a limit ended it, `fault` if something failed or the record is no data,
-            `slipped` if the object moved in the grip; each with its reason.
+            Measured trajectory. Status `limit` after an exceeded limit, `fault` after a failure or with an invalid
+            record, `slipped` if the object moved in the grip; each with its reason.
 
         Raises:
-            InfeasibleTrialError: refused before moving.
-            RobotError: not confirmed, not entered, or ended before anything was recorded.
+            InfeasibleTrialError: refused before any motion.
+            RobotError: not confirmed, not entered, or ended before the record began.
         """
         if self._connections is None:
             raise RobotError("the robot is not connected: use the runner in a with statement")
@@ -196,16 +196,16 @@ class RealRunner:
         return lifted(judged) if not plan.trial.action.moves and judged.ok else judged
 
     def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
-        """Distance [m] and angle [rad] of the object from its place by the hand's pose; None without a tracker."""
+        """Slip of the object in the grip, tracker against hand [m, rad]; None without a tracker."""
         if self._tracker is None or plan.grasp is None:
             return None
         held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
-        believed = object_poses(plan, record, self._settings)[held]
+        expected = object_poses(plan, record, self._settings)[held]
         try:
-            off = np.array(self._tracker.read()) - believed
-        except RobotError:  # it does not see the object now; the record is whole all the same
+            slip = np.array(self._tracker.read()) - expected
+        except RobotError:  # no pose now; the record is valid nevertheless
             return None
-        return float(np.hypot(off[0], off[1])), abs(math.remainder(off[2], math.tau))
+        return float(np.hypot(slip[0], slip[1])), abs(math.remainder(slip[2], math.tau))
 
 
 def trajectory_of(
@@ -217,7 +217,7 @@ def trajectory_of(
     figures: dict[str, float],
     provenance: dict[str, str],
 ) -> Trajectory:
-    """Trajectory of an action or a weighing, compensated if the sensor has been tared."""
+    """Trajectory of an action or a weighing, compensated for the tool if the sensor has been tared."""
     pose, shape, begin = object_poses(plan, record, settings), plan.trial.object.shape, float(record.time_s[0])
     held = (0.0, 0.0) if plan.grasp is None else plan.grasp.position
     parts = 1 if shape.chain is None else shape.chain.links
@@ -251,7 +251,7 @@ def trajectory_of(
 
 
 def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
-    """Place of the object by a camera: of its held part, if it has several."""
+    """Source of the object's pose by a camera: of the gripped link of an object with hinges."""
     chain, shape, grasp = trial.object.shape.chain, trial.object.shape, trial.action.grasp
     if chain is None or grasp is None:
         return SeenPose(camera, clock)
@@ -259,7 +259,7 @@ def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:
 
 
 def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Float[np.ndarray, "T 3"]:
-    """Planar pose of the object from the hand's [m, rad], (T, 3): true if it does not slip; of a push where it lay."""
+    """Planar pose of the object by the hand's [m, rad], (T, 3), without slip; for a push its initial pose."""
     if plan.grasp is None:
         return np.tile(plan.object_pose, (len(record.time_s), 1))
     yaw = np.unwrap(closing_yaw(record.tcp_orientation, settings)) - plan.grasp.angle
@@ -267,17 +267,17 @@ def object_poses(plan: RobotPlan, record: Record, settings: RobotSettings) -> Fl
 
 
 def lifted(measured: Trajectory) -> Trajectory:
-    """A weighing by lifting as a scale's reading: z of wrench_on_object_world.
+    """Convert a weighing by lifting to a scale's reading, its weight in z of `wrench_on_object_world`.
 
-    `figures["weight_std_kg"]` is its standard error: bias after the tare, walk of the zero since then, and the scatter
-    of both readings.
+    `figures["weight_std_kg"]` is the standard error by the bias after the tare, the walk of the zero since then, and
+    the scatter of both readings.
     """
     kept = measured.mask(Phase.STEADY)
     axes = rotation_matrix(measured.sensor_orientation[kept][0])
     empty = tare_samples(measured)
     since = measured.time_s[kept].mean() - measured.time_s[empty].mean()
-    moved = float(np.hypot(measured.sensor_bias_std[2], measured.sensor_drift_std[2] * np.sqrt(since)))
-    reading = weigh(measured.sensor_wrench[empty], measured.sensor_wrench[kept], axes[2], drift=moved)
+    drift = float(np.hypot(measured.sensor_bias_std[2], measured.sensor_drift_std[2] * np.sqrt(since)))
+    reading = weigh(measured.sensor_wrench[empty], measured.sensor_wrench[kept], axes[2], drift=drift)
     series = {name: getattr(measured, name)[kept] for name in ("time_s", "phase", *SERIES)}
     series["time_s"] -= series["time_s"][0]
     figures = measured.figures | {"weight_kg": reading.mass, "weight_std_kg": reading.standard_error}
@@ -285,26 +285,26 @@ def lifted(measured: Trajectory) -> Trajectory:
 
 
 def read_off(weight: float) -> Trajectory:
-    """A user's reading of a scale [kg] as a trajectory of one sample."""
+    """Trajectory of one sample from a scale's reading [kg] by the user."""
     provenance = {"runner": "robot", "recorded": timestamp(), "weight": "read off a scale"}
     return Trajectory.of_scale(np.array([weight * GRAVITY]), np.zeros(1), provenance)
 
 
 def timestamp() -> str:
-    """Time now, UTC, ISO 8601."""
+    """Current time, UTC, ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP end the program like an error, so that the arm is stopped; in the main thread only."""
+    """Let SIGTERM and SIGHUP raise SystemExit, so that the arm is stopped; in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def end(number: int, _: object) -> None:
         for name in before:
-            signal.signal(name, signal.SIG_IGN)  # once is enough
+            signal.signal(name, signal.SIG_IGN)  # a second signal must not interrupt the stop
         sys.exit(128 + number)
 
     kept = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # as nohup does

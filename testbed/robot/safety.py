@@ -1,4 +1,4 @@
-"""Limits on every motion of the real robot, checked on the planned path and at every tick."""
+"""Safety limits of the real robot, checked on the planned path and at every tick."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from testbed.robot.interfaces import ArmLimits, ArmState, RobotError, SensorIden
 from testbed.validation import Range, check_settings
 
 FROZEN = 4
-"""Most equal frames in a row: noise is several counts."""
+"""Largest number of equal frames in a row; the noise is several counts."""
 LAGS = 50
-"""Frames that are remembered."""
+"""Number of frames kept for comparison."""
 PERIODS = 10
-"""Longest period of a single component that is looked for [frames]."""
+"""Longest period of a single component that is detected [frames]."""
 PAIRS = 3
-"""Frames in which a component may have two values alone, over the most equal ones in a row."""
+"""Largest number of frames in which a component has only two values, over the largest number of equal ones in a row."""
 SHORT = 15
-"""Frames whose changes are held against the noise of all components together; of each one, `LAGS`."""
+"""Number of frames whose changes are compared with the noise of all components together; for a single one, `LAGS`."""
 QUIET = 1 / 3
-"""Least ratio of the root mean square of changes from frame to frame to the resting noise; white noise has 1.4."""
+"""Least ratio of the rms change from frame to frame to the noise at rest; white noise has 1.4."""
 _COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 _OVERSHOOT = 1.25
 """Allowed ratio of measured to commanded speed."""
 
 
 Place = Annotated[float, Range(-1.2, 1.2, "m")]
-"""Coordinate of a place within reach: the Gen3's is 0.9 m."""
+"""Coordinate within reach of the arm: the Gen3 reaches 0.9 m."""
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits on the tool. Base frame of the arm."""
+    """Limits on the tool, base frame of the arm."""
 
     low: tuple[Place, Place, Place] = (0.25, -0.35, 0.015)
     """Corner of the box for the TCP [m]."""
@@ -49,15 +49,15 @@ class SafetyLimits:
     angular_speed: Annotated[float, Range(math.radians(0.1), math.radians(100), "rad/s")] = 1.2
     """Turn rate of the tool [rad/s]."""
     tilt: Annotated[float, Range(math.radians(5), math.radians(35), "rad")] = math.radians(5)
-    """Angle of the approach axis from straight down [rad]: more for a lift, which tilts what it holds."""
+    """Angle of the approach axis from straight down [rad]; a lift that tilts the object needs more."""
     force: Annotated[float, Range(1, 300, "N")] = 60.0
-    """Change of the sensor's force since the tare, before it since the first frame [N]."""
+    """Change of the sensor's force since the tare, or since the first frame before it [N]."""
     torque: Annotated[float, Range(0.1, 30, "N m")] = 8.0
-    """Change of the sensor's torque, in the same way [N m]."""
+    """Change of the sensor's torque since then [N m]."""
     joint_margin: Annotated[float, Range(0, math.radians(45), "rad")] = math.radians(3)
-    """Distance to keep from the end of a joint's range [rad]."""
+    """Least distance from the ends of a joint's range [rad]."""
     age: Annotated[float, Range(0.02, 0.2, "s")] = 0.08
-    """Age of the newest feedback and of the newest wrench [s]."""
+    """Greatest age of the newest feedback and of the newest wrench [s]."""
 
     def __post_init__(self) -> None:
         check_settings(SafetyLimits, vars(self), "SafetyLimits")
@@ -69,7 +69,7 @@ class SafetyLimits:
 
 @dataclass(frozen=True)
 class Violation:
-    """A limit that was passed."""
+    """A limit that was exceeded."""
 
     limit: str
     """Name of the limit."""
@@ -80,7 +80,7 @@ class Violation:
     unit: str
     """Unit of both."""
     broken: bool = False
-    """True if a device has failed; False if the motion went too far."""
+    """True for a failed device, False for a motion beyond its limit."""
 
     def __str__(self) -> str:
         side = "at least" if self.value < self.allowed else "at most"
@@ -89,7 +89,7 @@ class Violation:
 
 
 class UnsafeError(RobotError):
-    """Motion ended by a limit; the arm has been stopped."""
+    """A limit was exceeded; the arm has been stopped."""
 
     def __init__(self, violation: Violation):
         self.violation = violation
@@ -98,7 +98,7 @@ class UnsafeError(RobotError):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Knowledge at one tick."""
+    """State, load and command at one tick."""
 
     now: float
     """Time [s]."""
@@ -121,8 +121,8 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
         if not at.now - time_s <= limits.age:
             yield Violation(f"age of the {name}", at.now - time_s, limits.age, "s", broken=True)
     yield from load_violations(limits, at.load)
-    yield from _too_fast("commanded", limits, at.command, 1.0 + 1e-9)
-    yield from _too_fast("measured", limits, state.tcp_twist, _OVERSHOOT)
+    yield from _speed_violations("commanded", limits, at.command, 1.0 + 1e-9)
+    yield from _speed_violations("measured", limits, state.tcp_twist, _OVERSHOOT)
     yield from _outside(limits, state.tcp_pose.position)
     down = -rotation_matrix(state.tcp_pose.orientation)[2, 2]
     if not (tilt := math.acos(min(max(down, -1.0), 1.0))) <= limits.tilt:
@@ -132,17 +132,17 @@ def violations(limits: SafetyLimits, arm: ArmLimits, at: Snapshot) -> Iterator[V
 
 def load_violations(limits: SafetyLimits, load: Float[np.ndarray, "6"]) -> Iterator[Violation]:
     """Every violation by a change of the wrench [N, N m]."""
-    return _too_large(load, ("force", limits.force, "N"), ("torque", limits.torque, "N m"))
+    return _norm_violations(load, ("force", limits.force, "N"), ("torque", limits.torque, "N m"))
 
 
 class FrameWatch:
-    """Watch over every frame of a sensor: NaN, values beyond its range, and values that no noise changes any more.
+    """Checks on every frame of a sensor: NaN, values beyond its range, and values without noise.
 
-    A dead sensor repeats itself: a value in a row or with a period, whole frames of some time before, two values alone,
-    or changes from frame to frame far below its noise. By the noise and counts of an FT-300S (correlation of 0.3
-    between neighbors) a frame at rest is a false alarm with a probability of 1.5e-8, one in 180 hours: by equal values
-    in a row, half of it tz; 6e-10 by periods, under 1e-14 by two values alone. Small changes lie 11 standard deviations
-    away. A load that changes only lowers it.
+    A dead sensor repeats values: one value in a row or with a period, earlier whole frames, only two values, or changes
+    from frame to frame far below its noise. With the noise and counts of an FT-300S (correlation of 0.3 between
+    neighbors) the probability of a false alarm per frame at rest is 1.5e-8, one in 180 hours, by equal values in a row,
+    half of it by tz; 6e-10 by periods; below 1e-14 by only two values. The limit on small changes is 11 standard
+    deviations away. A changing load lowers these probabilities.
     """
 
     def __init__(self, sensor: SensorIdentity):
@@ -151,7 +151,7 @@ class FrameWatch:
         self._runs = np.zeros((LAGS, 6), dtype=int)  # values in a row that equal those of each lag before
         self._pair, self._pairs = np.full((2, 6), np.nan), np.zeros(6, dtype=int)
         self._changes = np.full((LAGS, 6), np.nan)  # squared changes from frame to frame
-        self._taken = -1  # changes from frame to frame: none by the first
+        self._taken = -1  # number of changes from frame to frame: none with the first frame
         self._variance = None if sensor.noise is None else np.square(sensor.noise)
 
     def violations(self, wrench: Float[np.ndarray, "6"]) -> Iterator[Violation]:
@@ -181,7 +181,7 @@ class FrameWatch:
         self._taken += 1
 
     def _repeated(self) -> Iterator[Violation]:
-        """Violations by values that come again."""
+        """Violations by repeated values."""
         rows, repeats = self._runs[0] + 1, np.array(self._sensor.repeats)
         if rows.min() > FROZEN:
             yield Violation("equal frames in a row", float(rows.min()), FROZEN, "", broken=True)
@@ -199,8 +199,8 @@ class FrameWatch:
                 yield Violation(f"frames in which {name} has two values alone", pairs, PAIRS * most, "", True)
 
     def _quiet(self) -> Iterator[Violation]:
-        """Violations by changes below the resting noise."""
-        if self._taken >= LAGS and self._variance is None:  # the sensor states no noise: that of its first frames
+        """Violations by changes below the noise at rest."""
+        if self._taken >= LAGS and self._variance is None:  # no stated noise: that of the first frames
             self._variance = self._changes.mean(axis=0)
         if self._taken < SHORT or self._variance is None:
             return
@@ -224,27 +224,31 @@ def path_violations(
     twists: Float[np.ndarray, "N 6"],
     tilts: Float[np.ndarray, "N"],
 ) -> Iterator[Violation]:
-    """Every violation of a planned path of the TCP.
+    """Every violation by a planned path of the TCP.
 
-    It has positions [m], twists [m/s, rad/s] and tilts from straight down [rad], base frame.
+    Args:
+        limits: limits on the tool.
+        positions: positions [m], base frame.
+        twists: linear and angular velocities [m/s, rad/s], base axes.
+        tilts: angles of the approach axis from straight down [rad].
     """
     if not (most := float(tilts.max())) <= limits.tilt:
         yield Violation("tilt of the tool", most, limits.tilt, "rad")
     yield from _outside(limits, positions.min(axis=0))
     yield from _outside(limits, positions.max(axis=0))
     fastest = [part[np.linalg.norm(part, axis=1).argmax()] for part in (twists[:, :3], twists[:, 3:])]
-    yield from _too_fast("planned", limits, np.concatenate(fastest), 1.0 + 1e-9)
+    yield from _speed_violations("planned", limits, np.concatenate(fastest), 1.0 + 1e-9)
 
 
-def _too_fast(what: str, limits: SafetyLimits, twist: np.ndarray, factor: float) -> Iterator[Violation]:
+def _speed_violations(kind: str, limits: SafetyLimits, twist: np.ndarray, factor: float) -> Iterator[Violation]:
     linear, angular = limits.linear_speed, limits.angular_speed
-    return _too_large(twist, (f"{what} speed", linear, "m/s"), (f"{what} turn rate", angular, "rad/s"), factor)
+    return _norm_violations(twist, (f"{kind} speed", linear, "m/s"), (f"{kind} turn rate", angular, "rad/s"), factor)
 
 
-def _too_large(
+def _norm_violations(
     vector: np.ndarray, linear: tuple[str, float, str], angular: tuple[str, float, str], factor: float = 1.0
 ) -> Iterator[Violation]:
-    """Violations of limits on the two halves of a vector of six: of each its name, largest length and unit."""
+    """Violations by the linear and angular half of a vector (6,); each limit has name, largest norm and unit."""
     for part, (name, allowed, unit) in ((vector[:3], linear), (vector[3:], angular)):
         if not (length := float(np.linalg.norm(part))) <= allowed * factor:
             yield Violation(name, length, allowed, unit)

@@ -14,7 +14,7 @@ from testbed.sensing.windows import mean_covariance
 from testbed.validation import check_positive, frozen_array
 
 GAIN_ERROR = 0.02
-"""Allowed relative error of a known mass; heft's choice, the maker states no figure."""
+"""Allowed relative error of a known mass; chosen here, since the manufacturer states no figure."""
 TOO_UNSURE = 3
 """Standard errors within which two values agree."""
 
@@ -40,9 +40,9 @@ def weigh(
     Args:
         empty: samples with nothing held [N, N m], as the sensor reports them.
         loaded: samples with the object hanging free.
-        up: unit vector that points up, sensor axes; None if unknown: then the direction of the force is taken, and the
-            sensor's sign stays open.
-        drift: standard deviation of the bias's change between the two [N per axis].
+        up: upward unit vector, sensor axes, shape (3,). None: the direction of the force is used, and the sensor's
+            sign remains undetermined.
+        drift: standard deviation of the change in bias between the two readings [N per axis].
 
     Raises:
         InvalidValueError: too few samples, or `up` no unit vector.
@@ -65,7 +65,8 @@ def weigh(
 
 
 Verdict = Literal["agrees", "disagrees", "negated", "unsure"]
-"""Verdict of a known mass on a sensor: disagrees by gain or a stored tool calibration; negated: the other sign."""
+"""Verdict of a known mass on a sensor. Disagrees: a wrong gain or a stored tool calibration; negated: the opposite
+sign; unsure: the scatter exceeds the allowed error."""
 
 
 def check_known_mass(weighing: Weighing, mass: float) -> tuple[Verdict, str]:
@@ -76,13 +77,13 @@ def check_known_mass(weighing: Weighing, mass: float) -> tuple[Verdict, str]:
         f"{weighing.mass * GRAVITY:.2f} +- {weighing.standard_error * GRAVITY:.2f} N where {mass:g} kg weighs "
         f"{mass * GRAVITY:.2f} N"
     )
-    unsure = TOO_UNSURE * error
-    if unsure > GAIN_ERROR:
-        more = f"measure longer, or take {mass * unsure / GAIN_ERROR:.1f} kg or more"
+    uncertainty = TOO_UNSURE * error
+    if uncertainty > GAIN_ERROR:
+        more = f"measure longer, or take {mass * uncertainty / GAIN_ERROR:.1f} kg or more"
         return "unsure", f"{measured}: the scatter hides {GAIN_ERROR:.0%}: {more}"
-    if abs(ratio + 1) <= GAIN_ERROR + unsure:
+    if abs(ratio + 1) <= GAIN_ERROR + uncertainty:
         return "negated", f"{measured}: the sensor reports what the tool does to the arm: set sign = -1"
-    if abs(ratio - 1) <= GAIN_ERROR + unsure:
+    if abs(ratio - 1) <= GAIN_ERROR + uncertainty:
         return "agrees", f"{measured}: within {GAIN_ERROR:.0%}"
     return "disagrees", (
         f"{measured}: off by {100 * (ratio - 1):+.1f} %: the sensor may hold a stored tool calibration, something may "
@@ -97,10 +98,10 @@ def held_center(
 
     Args:
         wrench: wrench of the gripper on the object about the TCP [N, N m], world axes.
-        covariance: of that wrench.
+        covariance: covariance of that wrench, shape (6, 6).
 
     Raises:
-        InvalidValueError: nothing hangs there: the force does not point up by more than its scatter.
+        InvalidValueError: no object is held: the upward force is within `TOO_UNSURE` standard errors of zero.
     """
     w = frozen_array("held_center.wrench", wrench, (6,))
     spread = frozen_array("held_center.covariance", covariance, (6, 6))

@@ -1,4 +1,4 @@
-"""Calibration of the sensor's mount and the tool by static poses, its test by trials, and a tracker's by points."""
+"""Calibration of the sensor's mount and the tool by static poses, its checks by trials, and hand-eye calibration."""
 
 from testbed.robot.calibration.file import load_hand_eye
 from testbed.robot.calibration.hand_eye import TrackedPose

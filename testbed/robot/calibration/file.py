@@ -1,4 +1,4 @@
-"""Calibrations as TOML files, fit to be read and corrected by hand: of the sensor's mount, and of a tracker."""
+"""Calibrations of the sensor's mount and of a tracker as TOML files, which can be read and edited by hand."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CalibrationFile(BaseModel):
     sensor: str
     """Serial number of the sensor, or "unknown"."""
     made: str
-    """Date, in any words."""
+    """Date, in any format."""
     sign: Literal[1, -1]
     sensor_in_hand_wxyz: Quaternion
     sensor_in_hand_std_rad: Deviations
@@ -60,7 +60,7 @@ class CalibrationFile(BaseModel):
         return self
 
     def calibration(self) -> Calibration:
-        """The calibration itself."""
+        """Calibration with the values of the file."""
         return Calibration(
             sign=self.sign,
             sensor_in_hand=np.array(self.sensor_in_hand_wxyz),
@@ -86,7 +86,7 @@ class HandEyeFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     made: str
-    """Date, in any words."""
+    """Date, in any format."""
     tracker_in_base_m: Vector
     tracker_in_base_wxyz: Quaternion
     residual_m: NonNegative
@@ -94,7 +94,7 @@ class HandEyeFile(BaseModel):
 
 
 def save_calibration(path: Path, calibration: Calibration, sensor: str, made: str) -> None:
-    """Write a sensor's calibration, whole or not at all; `sensor`: its serial number, `made`: date.
+    """Write a sensor's calibration atomically; `sensor`: serial number, `made`: date.
 
     Raises:
         InvalidFileError: values that `load_calibration` refuses; a line for each error.
@@ -126,11 +126,11 @@ def save_calibration(path: Path, calibration: Calibration, sensor: str, made: st
 
 
 def load_calibration(path: Path, sensor: str | None = None) -> Calibration:
-    """A sensor's calibration from its file; `sensor`: serial number of the one in use, if known.
+    """Load a sensor's calibration; `sensor`: serial number of the sensor in use, if known.
 
     Raises:
         InvalidFileError: not a calibration file, or values out of range; a line for each error.
-        InvalidValueError: made with another sensor.
+        InvalidValueError: a calibration of another sensor.
     """
     file = load_toml(path, CalibrationFile)
     if sensor is not None and "unknown" not in (sensor, file.sensor) and sensor != file.sensor:
@@ -139,7 +139,7 @@ def load_calibration(path: Path, sensor: str | None = None) -> Calibration:
 
 
 def save_hand_eye(path: Path, found: HandEye, made: str) -> None:
-    """Write a tracker's calibration, whole or not at all; `made`: date."""
+    """Write a tracker's calibration atomically; `made`: date."""
     fields = {
         "made": made,
         "tracker_in_base_m": found.tracker_in_base.position.tolist(),
@@ -151,7 +151,7 @@ def save_hand_eye(path: Path, found: HandEye, made: str) -> None:
 
 
 def load_hand_eye(path: Path) -> HandEye:
-    """A tracker's calibration from its file.
+    """Load a tracker's calibration.
 
     Raises:
         InvalidFileError: not such a file, or values out of range.

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: a tracker's frame from points that the TCP touched and the tracker saw."""
+"""Hand-eye calibration: a tracker's frame from points measured by the tracker and touched by the TCP."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class HandEye:
     tracker_in_base: Pose
     """Pose of the tracker's frame."""
     residual: float
-    """Root mean square distance left between the points [m]."""
+    """Root mean square distance between the aligned points [m]."""
     standard_error: float
     """Standard error of a converted position near the points [m]."""
 
     def to_base(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Points of the tracker's frame in the base frame [m]."""
+        """Transform points [m] from the tracker's frame to the base frame."""
         return points @ rotation_matrix(self.tracker_in_base.orientation).T + self.tracker_in_base.position
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedPose:
-    """An `ObjectPose` by a calibrated tracker."""
+    """An `ObjectPose` from a calibrated tracker."""
 
     tracker: ObjectPose
     """Pose of the object in the tracker's x-y plane."""
@@ -51,15 +51,15 @@ class TrackedPose:
 
 
 def align(seen: Float[np.ndarray, "N 3"], touched: Float[np.ndarray, "N 3"]) -> HandEye:
-    """Rigid motion between two sets of points, by Kabsch's algorithm.
+    """Calibration by the rigid motion between two sets of points (Kabsch's algorithm).
 
     Args:
         seen: points in the tracker's frame [m].
         touched: positions of the TCP at the same points [m], base frame.
 
     Raises:
-        InvalidValueError: not as many of one as of the other, or not three coordinates each.
-        CalibrationError: fewer than 4 points, or all on one line.
+        InvalidValueError: the sets differ in length, or a point has not three coordinates.
+        CalibrationError: fewer than 4 points, or collinear points.
     """
     a = frozen_array("hand_eye.seen", seen, (None, 3))
     b = frozen_array("hand_eye.touched", touched, (None, 3))

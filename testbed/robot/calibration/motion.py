@@ -1,7 +1,8 @@
-"""Test of trials by their motion: where the object turned, against the pivots and grasps that its actions name.
+"""Checks of trials by their motion: measured centers of rotation against the pivots and grasps of the actions.
 
-The center of a turn is seen from the TCP and the direction in which the pads close, whatever the object weighs. A wrong
-closing direction turns all centers alike, a wrong TCP moves them alike, and a wrong grasp or pivot is off by itself.
+The center of a turn follows from the motion of the hand alone, in the frame of TCP and closing direction; it does not
+depend on the object's mass. A wrong closing direction turns all centers by one angle, a wrong TCP shifts them by one
+vector, and a wrong grasp or pivot affects its own turn only.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import EXACT_SETUP, PARAMETERS, SetupErrors
 
 LEVER = 0.005
-"""Distance of pivot and grasp from which a turn shows the closing direction [m]."""
+"""Least distance between pivot and grasp at which a turn determines the closing direction [m]."""
 CENTER_ALLOWED = 0.003
-"""Allowed distance of a turn's center from where its action has it [m]."""
+"""Allowed distance of a turn's center from its stated place [m]."""
 CLOSING_ALLOWED, TCP_ALLOWED = np.radians(1.0), 0.001
 """Allowed errors of the closing direction [rad] and of the TCP [m], beside three standard errors of each."""
 CLOSING_EXACT, TCP_EXACT = np.radians(0.1), 1e-4
-"""Allowed errors of closing direction [rad] and TCP [m] where they are stated as exact, of three turns or more, whose
-scatter is known."""
+"""Allowed errors of closing direction [rad] and TCP [m] that are stated as exact, by three turns or more, whose scatter
+is known."""
 LEAST_SPREAD = 1e-4
-"""Least standard error of a turn's center along an axis [m]: a few turns agree by chance. Ours."""
+"""Least standard error of a turn's center along an axis [m], since a few turns can agree by chance; chosen here."""
 HEADING_ALLOWED = np.radians(5.0)
 """Allowed angle between a slide and its direction [rad]."""
 SURE = 3.0
@@ -42,7 +43,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
     Args:
         shape: geometry and grasps of the object.
-        trajectories: trials of it that ended well; all but turns and slides are left out.
+        trajectories: trials of it; failed ones, and actions other than turns and slides, are ignored.
     """
     steady = [t for t in trajectories if t.ok and t.action.turns and not t.action.accelerated]
     turned = [(t.action, windows) for t in steady if (windows := steady_windows(t))]
@@ -71,7 +72,7 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     else:
         kind = "stated"
     angle, offset, left, spread = fits[kind]
-    if (left > allowed).sum() > len(left) / 2:  # they have nothing in common
+    if (left > allowed).sum() > len(left) / 2:  # no common error explains them
         angle, offset, left = 0.0, np.zeros(2), np.linalg.norm(seen - kinds[kind], axis=1)
     else:
         findings += _common(angle, offset, max(spread, LEAST_SPREAD), named, setup, exact)
@@ -96,7 +97,8 @@ def _heading(shape: ObjectShape, trial: Trajectory) -> Finding:
 def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> list[Finding]:
     """Findings of `check_trial` on the windows of every slide and turn at constant speed, of trials that ended well.
 
-    Links that trail pull aside, and lie elsewhere on the way back: of an object with hinges, only the sign of the work.
+    Trailing links deflect the force, and move between the turns there and back: for an object with hinges only the
+    sign of the power is checked.
     """
     gripped = [t for t in trajectories if t.action.dragged_steadily]
     found = [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated(t.setup))]
@@ -104,9 +106,9 @@ def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> li
 
 
 def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list[str]:
-    """Certain errors of the trials of an object, in sentences.
+    """Significant errors of the trials of an object, in sentences.
 
-    All findings of `check_motion`, and one of each kind of `check_trial`, without what a weak drag leaves open.
+    All failed checks of `check_motion`, and one of each kind of `check_trial`, without those of a drag below the noise.
     """
     found = check_wrenches(shape, (t for t in trajectories if t.ok))
     sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
@@ -114,18 +116,18 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
 
 
 def _stated(setup: SetupErrors) -> SetupErrors:
-    """Errors that are stated; one at its default counts as not stated, and as 0."""
+    """Stated errors of the setup; one at its default counts as not stated, and is 0."""
     defaults = {name for name in PARAMETERS if getattr(setup, name) == getattr(UNSTATED, name)}
     return replace(setup, **{name: getattr(EXACT_SETUP, name) for name in defaults})
 
 
 def _exact(setup: SetupErrors) -> set[str]:
-    """Errors that are stated as 0, and whose default is not."""
+    """Names of errors that are stated as 0 and have another default."""
     return {name for name in PARAMETERS if not getattr(setup, name) and getattr(UNSTATED, name)}
 
 
 def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -> Float[np.ndarray, "2"]:
-    """Pivot of an action from the hand [m], x along its closing direction; place [m] and direction [rad] as given."""
+    """Pivot of an action relative to a hand at a place [m] and closing direction [rad]; x along that direction [m]."""
     place, angle = hand
     return rotation_2d(-angle) @ (action.center(shape) - place)
 
@@ -133,18 +135,21 @@ def _named(shape: ObjectShape, action: Action, hand: tuple[np.ndarray, float]) -
 def _agreeing(
     seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"], allowed: Float[np.ndarray, "K"]
 ) -> Bool[np.ndarray, "K"]:
-    """Centers that are where they are named, if those are most: then the others are off by themselves; else all."""
+    """Mask of the centers at their stated places if these are the majority, else of all.
+
+    With a majority the other centers have errors of their own.
+    """
     agree, far = np.linalg.norm(seen - named, axis=1) <= allowed, np.linalg.norm(named, axis=1) > LEVER
-    telling = far if far.any() else np.ones_like(far)  # a turn about the grasp shows no closing direction
-    return agree if (agree & telling).sum() > telling.sum() / 2 else np.ones_like(far)
+    informative = far if far.any() else np.ones_like(far)  # a turn about the grasp shows no closing direction
+    return agree if (agree & informative).sum() > informative.sum() / 2 else np.ones_like(far)
 
 
 def _fit(
     seen: Float[np.ndarray, "K 2"], named: Float[np.ndarray, "K 2"], counted: Bool[np.ndarray, "K"]
 ) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "K"], float]:
-    """Turn [rad] and shift [m] that take named centers to seen ones, distances left, and their spread, one axis [m].
+    """Turn [rad] and shift [m] from stated to measured centers, residual distances [m], and their spread per axis [m].
 
-    Of those that are counted; reweighted, so that a few wrong ones do not count.
+    Fitted to the `counted` centers by iteratively reweighted least squares, so that outliers have little weight.
     """
     weight = counted.astype(float)
     far = counted & (np.linalg.norm(named, axis=1) > LEVER)
@@ -167,7 +172,7 @@ def _fit(
 def _common(
     angle: float, offset: np.ndarray, spread: float, named: np.ndarray, setup: SetupErrors, exact: set[str]
 ) -> list[Finding]:
-    """Findings on what all turns share."""
+    """Findings on closing direction and TCP, the errors that all turns share."""
     lever, count = float(np.sqrt(((named - named.mean(axis=0)) ** 2).sum())), len(named)
     findings = []
     if (named**2).sum() > LEVER**2:
@@ -191,7 +196,7 @@ def _common(
 
 
 def _wrong(shape: ObjectShape, action: Action, seen: np.ndarray, miss: float) -> Finding:
-    """A turn whose center is elsewhere, with the grasps that it would fit."""
+    """Finding on a turn with a wrong center, with the grasps that fit it."""
     x, y = 1e3 * seen
     others = [grasp for index, grasp in enumerate(shape.grasps) if index != action.grasp]
     named = [_named(shape, action, (grasp.position, grasp.angle)) for grasp in others]

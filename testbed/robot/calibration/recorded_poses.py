@@ -1,4 +1,4 @@
-"""Static poses from a recording, for a calibration: stretches in which the hand stands still, or moves slowly."""
+"""Static poses from a recording, for a calibration: intervals in which the hand rests, or moves slowly."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ from testbed.sensing.windows import mean_covariance
 from testbed.toml import load_toml
 
 WITHIN_S = 0.5
-"""Time over which the motion of the hand is judged [s]."""
+"""Window over which the motion of the hand is measured [s]."""
 STILL_TURN, STILL_WAY = 0.003, 0.001
-"""Turn [rad] and way [m] in that time up to which the hand stands still."""
+"""Largest turn [rad] and displacement [m] within the window of a hand at rest."""
 SLOW_TURN, SLOW_WAY = 0.1, 0.05
-"""Turn [rad] and way [m] in that time up to which it moves slowly: what the tool's inertia adds is millinewtons."""
+"""Largest turn [rad] and displacement [m] within the window of a slow motion, whose inertial forces are negligible."""
 SETTLED_S = 0.15
-"""Time beyond WITHIN_S / 2 that is left out after a motion, and before the next [s]."""
+"""Time beyond WITHIN_S / 2 that is excluded after a motion and before the next [s]."""
 SHORTEST_S = 1.0
 """Shortest rest that is a pose [s]."""
 MEASURED = 5
 """Least number of samples of a stream within `SHORTEST_S`."""
 FEWEST = 6
-"""Number of rests below which slow motion counts too."""
+"""Least number of rests; with fewer, slow motion is used."""
 
 
 def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
-    """Static poses of a recording, and the samples that measured nothing, in words.
+    """Static poses of a recording, and a description of the samples without a measurement.
 
-    Of the mapping file [time], [sensor] and [hand] are read; the sensor's sign and mount do not count.
+    Of the mapping file [time], [sensor] and [hand] are read; the sensor's sign and mount are ignored.
 
-    Each rest of a second or more is a pose. With fewer than six rests, so is each half second of slow motion, whose
-    scatter is taken about a parabola. A pose has `MEASURED` samples of the sensor or more, and of the hand. With
-    `rows = "poses"` each row of a table is a pose; the scatter of a fit is then the error of its reading.
+    Each rest of `SHORTEST_S` or more is a pose. With fewer than `FEWEST` rests the poses are half seconds of slow
+    motion instead, whose scatter is taken about a parabola. A pose has at least `MEASURED` samples of the sensor and of
+    the hand. With `rows = "poses"` each row of a table is a pose; the residuals of a fit then give the error of a
+    reading.
 
     Raises:
         InvalidFileError: the mapping does not fit its schema; one line per error.
@@ -66,11 +67,11 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
     if table.rows == "poses":
         return _of_rows(wrench, pose, table.gravity), left_out
-    every = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))
-    if every > SHORTEST_S / MEASURED:
+    interval = max(float(np.median(np.diff(times))) for times in (wrench.time_s, pose[0].time_s))
+    if interval > SHORTEST_S / MEASURED:
         raise LogError(
-            f"poses: a sample every {every:.3g} s; allowed: {MEASURED} or more measured in {SHORTEST_S:g} s; or, where "
-            'each row of a table is a still pose, rows = "poses" in the mapping'
+            f"poses: a sample every {interval:.3g} s; allowed: {MEASURED} or more measured in {SHORTEST_S:g} s; or, "
+            'where each row of a table is a still pose, rows = "poses" in the mapping'
         )
     base = common_base([wrench, pose[0]], table.longest_gap_s)
     hand, position = resampled_rotation(pose[0].time_s, pose[1], base).as_quat(), resampled(pose[0], base)
@@ -95,10 +96,10 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
 
 
 def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
-    """Poses of rows that have wrench and hand; the scatter of a fit, axis by axis, is the error of a reading."""
-    _, moved, felt = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
-    pairs = zip(pose[1].as_quat(scalar_first=True)[moved], wrench.values[felt], strict=True)
-    poses = [StaticPose(hand, read, np.ones(6)) for hand, read in pairs]
+    """Poses of rows with both wrench and hand; the residuals of a fit, per axis, give the error of a reading."""
+    _, of_hand, of_wrench = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
+    pairs = zip(pose[1].as_quat(scalar_first=True)[of_hand], wrench.values[of_wrench], strict=True)
+    poses = [StaticPose(hand, reading, np.ones(6)) for hand, reading in pairs]
     if len(poses) < FEWEST:
         raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")
     left, rows = residuals(calibrate(poses, gravity=gravity), poses), 6 * len(poses)
@@ -107,13 +108,16 @@ def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
 
 
 def _measured(time: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """True at times about which enough samples were measured, not interpolated."""
+    """Mask of the times around which at least `MEASURED` samples were measured, not interpolated, shape of `base`."""
     first, last = (np.searchsorted(time, base + side * SHORTEST_S / 2) for side in (-1, 1))
     return last - first >= MEASURED
 
 
 def _motion(hand: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn [rad] and way [m] of the hand within WITHIN_S about each sample."""
+    """Turn [rad] and displacement [m] of the hand over the window around each of T samples, each (T,).
+
+    Hand: quaternions xyzw, (T, 4); position [m], (T, 3).
+    """
     half = round(WITHIN_S * RATE / 2)
     index = np.arange(len(position))
     before, after = np.maximum(index - half, 0), np.minimum(index + half, len(position) - 1)
@@ -122,9 +126,9 @@ def _motion(hand: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _pose(hand: np.ndarray, wrench: np.ndarray, degree: int) -> StaticPose:
-    """Mean pose, of quaternions xyzw, and reading of a stretch; a trend of some degree in the reading is no scatter."""
+    """Mean pose (quaternions xyzw) and reading of an interval; scatter is about a polynomial trend of this degree."""
     time = np.linspace(-1, 1, len(wrench))
     trend = np.polynomial.polynomial.polyvander(time, degree)
-    left = wrench - trend @ np.linalg.lstsq(trend, wrench, rcond=None)[0]
-    error = np.sqrt(np.maximum(np.diag(mean_covariance(left)), 1e-12))
+    detrended = wrench - trend @ np.linalg.lstsq(trend, wrench, rcond=None)[0]
+    error = np.sqrt(np.maximum(np.diag(mean_covariance(detrended)), 1e-12))
     return StaticPose(Rotation.from_quat(hand).mean().as_quat(scalar_first=True), wrench.mean(axis=0), error)

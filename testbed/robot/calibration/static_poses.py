@@ -1,16 +1,16 @@
 """Calibration by static poses: mount of the sensor on the hand, its sign and bias, mass and center of the tool.
 
-At rest the arm holds the tool up. With u the unit vector that points up, in sensor axes, m and c the tool's mass and
-center of mass,
+At rest the arm carries the weight of the tool. With u the upward unit vector in sensor axes, m and c the tool's mass
+and center of mass,
 
     force = gain sign m g u + bias,    torque = gain sign m g (c x u) + bias,
 
-and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports what the arm does to the
-tool, as heft counts, and -1 for one that reports what the tool does to the arm. A sensor with one axis mirrored, in
-force and torque, is the same thing as one negated and turned by 180 degrees about that axis. The gain of each axis is
-1 unless an error of it is stated; then it is found as far as the poses determine it. Each axis scatters in its own way,
-and the bias of a sensor that warms up walks from pose to pose: what is left of a fit shows by how much, and the next
-fit weighs the readings accordingly.
+and u is known in the hand's frame from the arm's pose. Sign is +1 for a sensor that reports the wrench of the arm on
+the tool, heft's convention, and -1 for one that reports the wrench of the tool on the arm. A sensor with one axis
+mirrored, in force and torque, is equivalent to one negated and turned by 180 degrees about that axis. The gain of each
+axis is 1 unless an error of it is stated; then it is estimated as far as the poses determine it. The noise differs
+between axes, and the bias of a sensor that warms up walks from pose to pose: both are estimated from the residuals of
+a fit, and weigh the readings in the next one.
 
 The hand is the frame whose pose the arm reports; its z axis points out of the flange. The arm's base is taken as level.
 """
@@ -35,25 +35,25 @@ from testbed.validation import check_positive_fields, freeze_arrays, frozen_arra
 
 Sign = Literal[1, -1]
 TELLING = 25.0
-"""Difference of squared misfit that settles the sign, and that axes scatter each in its own way: five standard
-deviations."""
+"""Difference of squared misfit, five standard deviations, that determines the sign, and from which the axes differ in
+their noise."""
 HANDED = 0.2
-"""Residual of the forces' directions, from 0 to 1, that settles the sign by the forces alone. Ours."""
+"""Residual of the forces' directions, from 0 to 1, that determines the sign by the forces alone; chosen here."""
 FARTHEST = 0.5
-"""Greatest distance of a tool's center of mass from the sensor [m]. Ours."""
+"""Greatest distance of a tool's center of mass from the sensor [m]; chosen here."""
 WALKS = 20.0
-"""Twice the gain of log likelihood from which the bias of an axis walks: scatter alone gains as much in one calibration
-of 100,000."""
+"""Twice the gain in log likelihood from which the bias of an axis is taken to walk: noise alone reaches it in one
+calibration of 100,000."""
 UNKNOWNS = 13
 """Number of unknowns without gains: turn, mass, center, bias."""
 ROUNDS = 3
-"""Fits of readings that scatter more than their noise, each weighed by what the last one left."""
+"""Number of fits to readings that scatter more than their noise, each weighted by the residuals of the last."""
 MISFIT = 3.0
-"""Squared misfit beyond which something else than noise is at work; 1 is expected."""
+"""Squared misfit that noise does not explain; 1 is expected."""
 
 
 class CalibrationError(RobotError):
-    """Poses or points that do not settle a calibration; the message says which to add."""
+    """Poses or points that do not determine a calibration; the message says which to add."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +75,15 @@ class StaticPose:
 
     @property
     def up(self) -> Float[np.ndarray, "3"]:
-        """Unit vector that points up, hand axes."""
+        """Upward unit vector, hand axes, shape (3,)."""
         return Rotation.from_quat(self.hand, scalar_first=True).inv().apply([0.0, 0.0, 1.0])
 
 
 def static_pose(hand: Float[np.ndarray, "4"], samples: Float[np.ndarray, "T 6"]) -> StaticPose:
-    """A static pose from the sensor's samples there.
+    """Static pose from the sensor's samples at that pose.
 
     Raises:
-        InvalidValueError: too few samples, or all equal: then the sensor does not measure.
+        InvalidValueError: too few samples, or all equal, as of a dead sensor.
     """
     samples = frozen_array("static_pose.samples", samples, (None, 6))
     if len(samples) < 10:
@@ -96,7 +96,7 @@ class Calibration:
     """Mount of the sensor and the tool below it, each with its standard deviation."""
 
     sign: Sign
-    """Factor that makes of the sensor's reading the wrench of the arm on the tool."""
+    """Factor that converts the sensor's reading to the wrench of the arm on the tool."""
     sensor_in_hand: Float[np.ndarray, "4"]
     """Orientation of the sensor's frame in the hand, wxyz."""
     sensor_in_hand_std: Float[np.ndarray, "3"]
@@ -122,10 +122,10 @@ class Calibration:
     gain_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
     """Standard deviation of each gain; as stated where the poses do not determine it."""
     bias_walk: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Standard deviation of the bias's change from pose to pose [N, N m], 0 of an axis whose bias stays; `bias` is then
-    that of the first pose."""
+    """Standard deviation of the bias's change from pose to pose [N, N m], 0 for a constant bias; else `bias` is that of
+    the first pose."""
     gravity: float = GRAVITY
-    """Acceleration of free fall by which the tool was weighed [m/s^2]."""
+    """Acceleration of free fall at the calibration [m/s^2]."""
 
     def __post_init__(self) -> None:
         if self.sign not in (1, -1):
@@ -137,18 +137,18 @@ class Calibration:
 
 
 def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: float = GRAVITY) -> Calibration:
-    """Mount, bias, tool and gains by weighted least squares on the readings.
+    """Estimate mount, bias, tool and gains by weighted least squares on the readings.
 
-    Standard deviations come from the readings' own, or from their scatter if that is larger; a bias that walks from
-    pose to pose counts as such.
+    Standard deviations follow from those of the readings, or from their scatter if that is larger; a bias that walks
+    from pose to pose is modeled as a random walk.
 
     Args:
         poses: readings at rest, in order of time.
-        gain_error: prior standard deviation of each axis' gain; 0 takes them as 1.
+        gain_error: prior standard deviation of each axis' gain; 0 fixes the gains at 1.
         gravity: acceleration of free fall [m/s^2].
 
     Raises:
-        CalibrationError: too few poses, or too alike to determine rotation, sign or tool.
+        CalibrationError: too few poses, or poses too similar to determine rotation, sign or tool.
     """
     if len(poses) < 4:
         raise CalibrationError(f"calibration: got {len(poses)} poses; allowed: 4 or more, each tilted another way")
@@ -157,7 +157,7 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
     noise = np.array([pose.standard_error for pose in poses])
     errors = _Errors(noise, np.zeros(6), np.array([np.diag(each) for each in noise.T]))
     fits = {sign: _fit(poses, sign, gain_error, errors, gravity) for sign in (1, -1)}
-    if (least := min(fit.force_left for fit in fits.values())) > HANDED and (other := _turning_otherwise(poses, least)):
+    if (least := min(fit.force_left for fit in fits.values())) > HANDED and (other := _better_convention(poses, least)):
         raise CalibrationError(f"calibration: the force does not turn with the hand, but does {other}")
     sign, other = sorted(fits, key=lambda s: fits[s].cost)
     best = fits[sign]
@@ -186,28 +186,29 @@ def calibrate(poses: Sequence[StaticPose], gain_error: float = 0.0, gravity: flo
             break
         errors = scattered
         best = _fit(poses, sign, gain_error, errors, gravity)
-    read, stated = best.jac[: 6 * len(poses)], best.jac[6 * len(poses) :]  # scatter is the readings' alone
-    covariance = np.linalg.inv(read.T @ read / max(2 * best.cost / freedom, 1.0) + stated.T @ stated)
+    # scatter scales the errors of the readings, not the prior of the gains
+    of_readings, of_prior = best.jac[: 6 * len(poses)], best.jac[6 * len(poses) :]
+    covariance = np.linalg.inv(of_readings.T @ of_readings / max(2 * best.cost / freedom, 1.0) + of_prior.T @ of_prior)
     mass, com = best.x[3], best.x[4:7] / best.x[3]
     to_com = np.hstack([-com[:, None] / mass, np.eye(3) / mass])
     com_std = np.sqrt(np.diag(to_com @ covariance[3:7, 3:7] @ to_com.T))
-    if (away := float(np.linalg.norm(com))) > FARTHEST:
+    if (distance := float(np.linalg.norm(com))) > FARTHEST:
         units = {
             10: "force kgf (force_unit), or that of the torque N cm (torque_unit)",
             1e3: "torque N mm (torque_unit)",
             np.inf: "torque another (torque_unit)",
         }
-        unit = next(unit for times, unit in units.items() if away < times * FARTHEST)
+        unit = next(unit for factor, unit in units.items() if distance < factor * FARTHEST)
         raise CalibrationError(
-            f"calibration: the tool's center of mass comes out {away:.3g} m from the sensor; allowed: {FARTHEST:g} m; "
-            f"is the unit of the {unit}?"
+            f"calibration: the tool's center of mass comes out {distance:.3g} m from the sensor; allowed: "
+            f"{FARTHEST:g} m; is the unit of the {unit}?"
         )
     std = np.sqrt(np.diag(covariance))
     rotation = best.start * Rotation.from_rotvec(best.x[:3])
-    ahead = rotation.as_matrix()[2]
-    if ahead @ com < -3 * np.linalg.norm(ahead * com_std):
+    outward = rotation.as_matrix()[2]  # z axis of the hand, sensor axes
+    if outward @ com < -3 * np.linalg.norm(outward * com_std):
         raise CalibrationError(
-            f"calibration: the tool's center of mass comes out {-ahead @ com * 1e3:.0f} mm behind the sensor; "
+            f"calibration: the tool's center of mass comes out {-outward @ com * 1e3:.0f} mm behind the sensor; "
             "the signs of its force and its torque do not belong together, or the arm reports another frame's pose"
         )
     return Calibration(
@@ -238,7 +239,7 @@ def residuals(calibration: Calibration, poses: Sequence[StaticPose]) -> Float[np
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Errors of the readings of N poses: their noise, and the walk of the bias."""
+    """Covariance of the readings of N poses: their noise, and the random walk of the bias."""
 
     noise: Float[np.ndarray, "N 6"]
     """Standard errors [N, N m]."""
@@ -254,9 +255,9 @@ class _Errors:
 
     @staticmethod
     def scattered(noise: Float[np.ndarray, "N 6"], left: Float[np.ndarray, "N 6"]) -> _Errors | None:
-        """Noise, a factor of it and a walk for each axis, the likeliest by the residuals of a fit.
+        """Maximum-likelihood errors by the residuals of a fit: for each axis a factor of the noise, and a walk.
 
-        None where no bias walks and one factor explains the scatter of all axes.
+        None if no bias walks and one factor explains the scatter of all axes.
         """
         order = np.arange(len(noise))
         together = np.minimum(order[:, None], order).astype(float)
@@ -269,22 +270,22 @@ class _Errors:
         return _Errors(noise, walk, np.array([root for _, root in found]))
 
     def whitened(self, left: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6"]:
-        """Residuals over their errors."""
+        """Residuals divided by their errors."""
         return np.einsum("aij,ja->ia", self.inverses, left)
 
     def raw(self, whitened: Float[np.ndarray, "n"]) -> Float[np.ndarray, "N 6"]:
-        """Residuals [N, N m] of whitened ones, pose by pose."""
+        """Residuals [N, N m] from flattened whitened ones: the inverse of `whitened`."""
         return np.einsum("aij,ja->ia", self.roots, whitened.reshape(len(self.noise), 6))
 
 
 def _likeliest(
     noise: Float[np.ndarray, "N N"], together: Float[np.ndarray, "N N"], left: Float[np.ndarray, "N"]
 ) -> tuple[float, Float[np.ndarray, "N N"]]:
-    """Walk of an axis from pose to pose, 0 where it hardly explains the residuals better, and the covariance's root."""
+    """Walk of an axis from pose to pose, 0 unless the fit is significantly better, and the covariance's root (N, N)."""
     constant = np.ones((len(left), 1))
 
     def cost(covariance: np.ndarray) -> float:
-        """Twice the negative log likelihood of the residuals about any bias."""
+        """Twice the negative log likelihood of the residuals, with the bias marginalized."""
         inverse = np.linalg.inv(covariance)
         of_bias = constant.T @ inverse @ constant
         about = left - constant[:, 0] * float((constant.T @ inverse @ left / of_bias).item())
@@ -297,9 +298,9 @@ def _likeliest(
         factor, walk = np.exp(logarithms)
         return noise * factor + together * walk
 
-    # the scatter half by noise, half by a walk
+    # half of the scatter from noise, half from a walk
     start = np.log([max(scatter / mean / 2, 1.0), max(3 * scatter / len(left), 1e-3 * mean)])
-    # far beyond what the residuals can show, but finite: a line search that leaves them overflows
+    # far beyond any likely value, but finite: without bounds the line search overflows
     most = 100 * max(scatter, mean)
     bounds = [(0.0, np.log(most / mean)), (np.log(1e-6 * mean), np.log(most))]
     best = minimize(lambda x: cost(covariance(x)), start, method="L-BFGS-B", bounds=bounds)
@@ -308,10 +309,10 @@ def _likeliest(
     return float(np.exp(best.x[1] / 2)), np.linalg.cholesky(covariance(best.x))
 
 
-def _turning_otherwise(poses: Sequence[StaticPose], least: float) -> str:
-    """Other reading of the hand's orientations with which the force turns, in words; empty where none is.
+def _better_convention(poses: Sequence[StaticPose], least: float) -> str:
+    """Convention of the hand's orientations under which the force turns with the hand, in words; empty without any.
 
-    `least` is the residual of the forces' directions with the orientations as they are.
+    `least` is the residual of the forces' directions under the assumed convention.
     """
     hands, force = (np.array([getattr(pose, name) for pose in poses]) for name in ("hand", "wrench"))
     inverse = Rotation.from_quat(hands, scalar_first=True).inv().as_quat(scalar_first=True)
@@ -324,43 +325,47 @@ def _turning_otherwise(poses: Sequence[StaticPose], least: float) -> str:
 
 
 def _aligned(up: Float[np.ndarray, "N 3"], force: Float[np.ndarray, "N 3"]) -> tuple[Rotation, float]:
-    """Rotation that turns the changes of forces into those of a vector that points up, and its residual, 0 to 1.
+    """Kabsch's rotation from the forces to the upward vectors, both about their means, and its residual, 0 to 1.
 
-    Differences are free of the bias: Kabsch's rotation.
+    The mean includes the bias, so the differences are free of it.
     """
     changes = (vectors - vectors.mean(axis=0) for vectors in (up, force))
-    rotation, left, *_ = Rotation.align_vectors(*(each / max(float(np.linalg.norm(each)), 1e-12) for each in changes))
-    return rotation, float(left)
+    scaled = (each / max(float(np.linalg.norm(each)), 1e-12) for each in changes)
+    rotation, residual, *_ = Rotation.align_vectors(*scaled)
+    return rotation, float(residual)
 
 
 def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Errors, gravity: float) -> OptimizeResult:
-    """Least squares under one sign: turn from `start` [rad], sensor axes, mass, mass times center, bias, gains."""
+    """Least-squares fit for one sign.
+
+    The solution `x` has a rotation vector from `start` [rad], sensor axes, mass, mass times center, bias and gains.
+    """
     up, wrench = (np.array([getattr(p, name) for p in poses]) for name in ("up", "wrench"))
     force, middle = sign * wrench[:, :3], up - up.mean(axis=0)
     start, force_left = _aligned(up, force)  # all the rest is linear
     mass = max(float(np.sum(start.apply(force) * middle) / max(np.sum(middle**2), 1e-12) / gravity), 1e-3)
 
-    def missed(x: np.ndarray) -> np.ndarray:
+    def weighted(x: np.ndarray) -> np.ndarray:
         held = (start * Rotation.from_rotvec(x[:3])).inv().apply(up)
         load = gravity * np.hstack([x[3] * held, np.cross(x[4:7], held)])
         gain = x[13:] if gain_error else np.ones(6)
-        missing = errors.whitened(sign * gain * load + x[7:13] - wrench).ravel()
-        return np.append(missing, (gain - 1) / gain_error) if gain_error else missing
+        residual = errors.whitened(sign * gain * load + x[7:13] - wrench).ravel()
+        return np.append(residual, (gain - 1) / gain_error) if gain_error else residual
 
     guess = np.concatenate([np.zeros(3), [mass], np.zeros(3), wrench.mean(axis=0)])
     scale = np.concatenate([np.ones(3), [1.0], np.full(3, 0.1), np.ones(3), np.full(3, 0.1)])
     if gain_error:
         guess, scale = np.append(guess, np.ones(6)), np.append(scale, np.full(6, gain_error))
     lowest = np.full(len(guess), -np.inf)
-    lowest[3] = 1e-6  # a negative mass would be the other sign over again
-    close = {"xtol": 1e-10, "ftol": 1e-10, "gtol": 1e-10, "max_nfev": 100}
-    fit = least_squares(missed, guess, bounds=(lowest, np.inf), x_scale=scale, **close)
+    lowest[3] = 1e-6  # a negative mass would duplicate the other sign
+    tolerances = {"xtol": 1e-10, "ftol": 1e-10, "gtol": 1e-10, "max_nfev": 100}
+    fit = least_squares(weighted, guess, bounds=(lowest, np.inf), x_scale=scale, **tolerances)
     fit.start, fit.force_left = start, force_left
     return fit
 
 
 def in_words(calibration: Calibration) -> list[str]:
-    """Findings of a calibration, a sentence each: sign, rotation, tool, and doubts."""
+    """Results of a calibration, a sentence each: sign, rotation, tool, gains, and warnings."""
     c = calibration
     turn, mirrored = _turn_in_words(Rotation.from_quat(c.sensor_in_hand, scalar_first=True))
     sentences = []

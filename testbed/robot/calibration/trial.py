@@ -1,8 +1,9 @@
-"""Test of a calibration by trials: lift an object, turn it there and back, slide it.
+"""Checks of a calibration by trials: lift an object, turn it there and back, slide it.
 
-For any mass distribution gravity pulls down and friction takes work out: the force that holds a hanging object points
-up, and force times velocity plus torque times turn rate is positive in every steady stretch. In a slide all points move
-alike, so the force points along the motion; and friction flips with the motion, bias does not.
+For any mass distribution gravity points down and friction dissipates power: the force that holds a hanging object
+points up, and force times velocity plus torque times turn rate is positive in every steady stretch. In a slide all
+points have the same velocity, so the force points along the motion; and friction reverses with the motion, while bias
+does not.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from testbed.validation import check_positive, frozen_array
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 PLANAR = [0, 1, 5]
-"""Force in the table's plane and torque about its normal."""
+"""Indices of the force in the table's plane and of the torque about its normal."""
 SLIDING = 0.02
 """Turn rate below which a stretch is a slide [rad/s]."""
 TILT_ALLOWED = np.radians(2.0)
@@ -30,33 +31,33 @@ TILT_ALLOWED = np.radians(2.0)
 TURN_ALLOWED = np.radians(3.0)
 """Allowed error of the mount about the vertical [rad]."""
 _AGAINST = np.radians(150.0)
-"""Angle between a slide and its force from which a wrong sign is likelier than a wrong rotation [rad]. Ours."""
+"""Angle between a slide and its force from which a wrong sign is likelier than a wrong rotation [rad]; chosen here."""
 LEVER_ALLOWED = 0.003
 """Allowed error of the TCP [m]."""
 BIAS_ALLOWED = 0.1
-"""Allowed part of a turn's torque that does not flip with the motion."""
+"""Allowed ratio of a turn's constant torque to the torque that reverses with the motion."""
 MASS_ALLOWED = 0.03
 """Allowed relative error of the object's mass."""
 LEAST_FRICTION = 0.2
-"""Friction at which a stated tilt of the table turns a slide's force aside. Ours."""
+"""Coefficient of friction for the deflection of a slide's force by a stated tilt of the table; chosen here."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Finding of one test."""
+    """Result of one check."""
 
     what: str
     """Subject: weight, mass, vertical, lever arm, friction, there and back, direction."""
     ok: bool
-    """True if it is as it should be."""
+    """True if the check passed."""
     value: float
     """Measured value; its unit is in `text`."""
     text: str
-    """The finding in a sentence, with its remedy."""
+    """Result in a sentence, with a remedy if the check failed."""
 
 
 def judged(what: str, ok: bool | np.bool_, value: float, text: str, remedy: str) -> Finding:
-    """Finding whose sentence ends with the remedy if it is not as it should be."""
+    """Finding whose sentence ends with the remedy if the check failed."""
     return Finding(what, bool(ok), value, text if ok else f"{text}: {remedy}")
 
 
@@ -69,15 +70,15 @@ def check_trial(
     center: Float[np.ndarray, "2"] | None = None,
     setup: SetupErrors = EXACT_SETUP,
 ) -> list[Finding]:
-    """Findings of a lift, turns and slides about sign, rotation and lever arm.
+    """Findings on sign, rotation and lever arm from a lift, turns and slides.
 
     Args:
         lift: mean wrench of the gripper on the hanging object about the TCP [N, N m], world axes; None without a lift.
-        lift_covariance: of that mean.
+        lift_covariance: covariance of that mean, shape (6, 6).
         windows: steady stretches of turns and slides, from `steady_windows`.
-        mass: of the object [kg], if known.
+        mass: mass of the object [kg], if known.
         center: center of mass from the TCP while it hung [m], world axes, if known.
-        setup: stated errors of the setup, which turns and slides are allowed besides.
+        setup: stated errors of the setup, which increase the allowed errors of turns and slides.
 
     Raises:
         InvalidValueError: wrong shapes, or a mass not above 0.
@@ -133,7 +134,7 @@ def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) ->
 
 
 def _of_work(window: SteadyWindow) -> Finding:
-    """Power of the gripper on the object: positive, since friction takes work out."""
+    """Finding on the power of the gripper on the object: positive, since friction dissipates it."""
     power = float(window.wrench[PLANAR] @ window.twist)
     error = float(np.sqrt(window.twist @ window.covariance[np.ix_(PLANAR, PLANAR)] @ window.twist))
     kind = "slide" if abs(window.twist[2]) < SLIDING else f"turn at {np.degrees(window.twist[2]):+.0f} deg/s"
@@ -144,13 +145,13 @@ def _of_work(window: SteadyWindow) -> Finding:
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
-    flipping, staying = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
+    reversing, constant = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
-    left = float(abs(staying)) / max(float(abs(flipping)), 1e-9)
-    tared = float(np.sqrt(there.bias_covariance[5, 5]))  # the error of its tare that the sensor states
-    ok = abs(staying) <= BIAS_ALLOWED * abs(flipping) + TOO_UNSURE * math.hypot(error, tared)
-    text = f"turned there and back, {flipping:.4f} N m flips and {staying:.4f} +- {error:.4f} N m stays"
-    return judged("there and back", ok, left, text, "a bias that the tare left, or a cable that pulls")
+    ratio = float(abs(constant)) / max(float(abs(reversing)), 1e-9)
+    tare_error = float(np.sqrt(there.bias_covariance[5, 5]))  # as the sensor states it
+    ok = abs(constant) <= BIAS_ALLOWED * abs(reversing) + TOO_UNSURE * math.hypot(error, tare_error)
+    text = f"turned there and back, {reversing:.4f} N m flips and {constant:.4f} +- {error:.4f} N m stays"
+    return judged("there and back", ok, ratio, text, "a bias that the tare left, or a cable that pulls")
 
 
 def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
@@ -159,8 +160,8 @@ def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     error = float(np.sqrt(np.linalg.eigvalsh(window.covariance[:2, :2])[-1]) / max(np.linalg.norm(force), 1e-9))
     # friction that differs by a along two axes of the table turns its force by up to 2 a
     lean = setup.table_tilt / LEAST_FRICTION
-    aside = float(np.linalg.norm([error, setup.mounting_angle, 2 * setup.anisotropy, setup.friction_law, lean]))
-    ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * aside
+    deviation = float(np.linalg.norm([error, setup.mounting_angle, 2 * setup.anisotropy, setup.friction_law, lean]))
+    ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * deviation
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     turn = f"{-np.degrees(angle):+.0f} deg about the vertical, {np.degrees(angle):+.0f} about a z axis that points down"
     against = "sign is the other one; else " if abs(angle) > _AGAINST else ""

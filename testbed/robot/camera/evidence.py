@@ -1,4 +1,4 @@
-"""Evidence of the camera on a trial: whether it saw all of it, where the hand has it, and how long a push touched."""
+"""Checks of a trial by its camera: coverage of the motion, agreement with the hand, and contact time of a push."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from testbed.trajectory import Phase, Status, Trajectory
 
 
 def check_place(seen: tuple[float, float, float], stated: tuple[float, float, float]) -> None:
-    """Hold the place at which a camera sees the object against the stated one, before anything moves.
+    """Compare the object's pose by the camera with the stated one, x, y [m] and yaw [rad], before any motion.
 
     Raises:
-        CameraLostError: they are too far apart.
+        CameraLostError: they differ by more than `APART`.
     """
     way, turn = math.dist(seen[:2], stated[:2]), math.remainder(seen[2] - stated[2], math.tau)
     if way > APART[0] or abs(turn) > APART[1]:
@@ -34,7 +34,7 @@ def check_place(seen: tuple[float, float, float], stated: tuple[float, float, fl
 
 
 def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status, str]]:
-    """Every reason against a compensated record with a camera, with its status."""
+    """Status and reason of every defect that the camera shows in a compensated record."""
     assert record.camera is not None
     moving = record.time_s[np.isin(record.phase, (Phase.RAMP, Phase.STEADY))]
     if not len(moving):
@@ -56,7 +56,7 @@ def seen_doubts(record: Trajectory, shape: ObjectShape) -> Iterator[tuple[Status
 
 
 def contact_of(record: Trajectory) -> tuple[float, float]:
-    """Times at which the fingertip of a push met the object and left it [s]; two zeros if it never did."""
+    """Times of a push's first and last contact between fingertip and object [s]; two zeros without contact."""
     try:
         contact = record.time_s[touching(record)]
     except InvalidValueError:
@@ -65,7 +65,7 @@ def contact_of(record: Trajectory) -> tuple[float, float]:
 
 
 def with_evidence(record: Trajectory, shape: ObjectShape) -> Trajectory:
-    """Record with the camera's evidence against it; of a push also how long it touched, and whether it ended early."""
+    """Record with status and reason by its camera; for a push also its contact time, and an early end of contact."""
     figures, reason = record.figures, ""
     if record.action.pushes:
         met, left = contact_of(record)

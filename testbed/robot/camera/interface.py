@@ -1,4 +1,4 @@
-"""Camera of the real robot: a stream of poses of an object that the hand does not hold, or of links that trail."""
+"""Camera of the real robot: a stream of poses of an object that is not held, or of trailing links."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from testbed.sensing.camera import Camera, PoseStream
 from testbed.validation import frozen_array
 
 LOOK = 1.0
-"""Time in which the object is looked for before a trial [s]."""
+"""Time over which the object's pose is averaged before a trial [s]."""
 FARTHEST = 10.0, 10.0, 1e3
 """Largest coordinates [m] and yaw [rad] of an object on a table."""
 LEAST_SEEN = 5
-"""Least number of frames that show where the object lies."""
+"""Least number of frames that determine the object's pose."""
 BLIND = 0.4
-"""Longest time without the object in a trial that is data [s]: half of what the smoother runs through."""
+"""Longest time without a pose of the object in a valid trial [s]: half of the gap that the smoother bridges."""
 
 
 class CameraLostError(RobotError):
-    """The camera is gone, or sends nothing that can be read."""
+    """The camera is disconnected, or its data cannot be read or are implausible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class SeenFrame:
     """One frame of a camera."""
 
     time_s: float
-    """Moment at which it is stamped [s]: its exposure, or later by the delay that the robot file states."""
+    """Time stamp [s]: the exposure, or later by the delay that the robot file states."""
     poses: Float[np.ndarray, "parts 3"]
     """Planar pose of each part's object frame [m, m, rad], the arm's base frame; NaN where it was not seen."""
 
@@ -46,20 +46,20 @@ class ObjectCamera(Device, Protocol):
     """A camera that streams poses of the object's parts. Entering opens it and starts the stream."""
 
     def drain(self) -> Sequence[SeenFrame]:
-        """Every frame since the last drain, in order. None at all while nothing is seen: that is no error.
+        """Every frame since the last drain, in order. An empty sequence is no error.
 
         Raises:
-            CameraLostError: it is gone, or what it sends cannot be read.
+            CameraLostError: the camera is disconnected, or its data cannot be read.
         """
         ...
 
 
 def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts: int) -> PoseStream:
-    """Poses of a trial by its camera's frames.
+    """Pose stream of a trial from the frames of its camera. Frames whose stamp does not increase are dropped.
 
     Args:
         frames: all frames of the trial.
-        camera: errors of the camera as stated; its mean delay is taken off.
+        camera: stated errors of the camera; its mean delay is subtracted.
         begin: time at which the record begins [s].
         parts: number of the object's parts.
 
@@ -78,10 +78,10 @@ def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts
 
 
 def check_frame(frame: SeenFrame, parts: int) -> None:
-    """Hold a frame against an object on a table.
+    """Check the number of poses in a frame, and their size.
 
     Raises:
-        CameraLostError: it has poses of more or fewer parts, or one off every table.
+        CameraLostError: wrong number of parts, or a pose beyond `FARTHEST`.
     """
     if len(frame.poses) != parts:
         raise CameraLostError(f"camera: it sends poses of {len(frame.poses)} parts; the object has {parts}")
@@ -95,7 +95,7 @@ def check_frame(frame: SeenFrame, parts: int) -> None:
 
 @dataclass(frozen=True)
 class SeenPose:
-    """An `ObjectPose`: where a camera that has been entered sees a part of the object at rest, by the median."""
+    """An `ObjectPose`: median pose of a part of the object at rest, by a camera that has been entered."""
 
     camera: ObjectCamera
     clock: Clock
@@ -108,7 +108,7 @@ class SeenPose:
         """Planar pose: x, y [m] and yaw [rad].
 
         Raises:
-            CameraLostError: the camera sees too little of it.
+            CameraLostError: too few frames show the part.
         """
         self.camera.drain()  # frames from before
         begin, poses = self.clock.now(), []
@@ -124,6 +124,6 @@ class SeenPose:
                 f"{LEAST_SEEN}; clear its view, and look whether it streams"
             )
         x, y = np.median(seen[:, :2], axis=0)
-        about = seen[0, 2]
-        turn = np.median(np.remainder(seen[:, 2] - about + math.pi, math.tau)) - math.pi
-        return float(x), float(y), float(about + turn)
+        reference = seen[0, 2]  # yaw wraps at 2 pi
+        turn = np.median(np.remainder(seen[:, 2] - reference + math.pi, math.tau)) - math.pi
+        return float(x), float(y), float(reference + turn)

@@ -1,8 +1,8 @@
-"""Poses by datagrams: whatever tracks the object, a program of a few lines sends its poses to a port of this computer.
+"""Camera by datagrams: the program of any tracker sends the object's poses to a port of this computer.
 
 A datagram is a JSON object: `{"poses": [...], "age_s": 0.02}`. `poses` has an entry for each part of the object: `null`
 if it is not seen now; `[x, y, yaw]` on the table [m, rad]; or `[x, y, z, qw, qx, qy, qz]` in space [m]. `age_s` is the
-time since the exposure, if the sender knows it [s].
+time since the exposure [s], 0 if left out.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from testbed.validation import Range, check_settings, frozen_array, is_number, u
 _LONGEST = 65535
 """Longest datagram [byte]."""
 _LYING = math.radians(20)
-"""Angle between the object's z axis and the base's from which its frame does not lie on the table [rad]."""
+"""Largest angle between the z axes of the object and of the base for an object that lies on the table [rad]."""
 OLDEST = 1.0
-"""Greatest age of a frame as it comes [s]."""
+"""Greatest age of a frame at its arrival [s]."""
 MOST_PARTS = 100
 _QUEUED = 10_000
-"""Most frames that wait to be drained."""
+"""Largest number of undrained frames; older ones are dropped."""
 
 
 class UdpCamera:
-    """An `ObjectCamera` that takes its frames from a UDP port. A frame is stamped as it comes, less its age."""
+    """An `ObjectCamera` that receives frames at a UDP port. The stamp of a frame is its arrival less its age."""
 
     def __init__(
         self,
@@ -50,10 +50,10 @@ class UdpCamera:
 
         Args:
             port: port to listen at; 0 takes a free one.
-            address: address to listen at; 0.0.0.0 takes datagrams of other computers.
+            address: address to listen at; 0.0.0.0 accepts datagrams of other computers.
             in_base_m: position of the camera's frame in the arm's base frame.
             in_base_wxyz: its orientation there.
-            object_m: position of the object's frame in the frame that is seen, a tag's say, the same for each part.
+            object_m: position of the object's frame in the tracked frame, such as a tag's, the same for each part.
             object_wxyz: its orientation there.
         """
         given = {"port": port, "in_base_m": in_base_m, "in_base_wxyz": in_base_wxyz}

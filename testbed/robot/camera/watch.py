@@ -1,4 +1,4 @@
-"""Watch over every frame of a camera during a trial: its parts, its stamp, its size, and jumps that no hand makes."""
+"""Checks on every frame of a camera during a trial: its parts, stamp and size, and jumps faster than any motion."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from testbed.robot.camera.interface import CameraLostError, SeenFrame, check_fra
 from testbed.sensing.camera import Camera
 
 EARLY, LATE = 0.05, 0.25
-"""Times by which a stamp may be ahead of its arrival or behind it, beyond the stated delay [s]."""
+"""Allowed lead and lag of a stamp relative to its arrival, beyond the stated delay [s]."""
 FASTEST, OF_PUSH = (0.15, 1.5), (1.25, 30.0)
-"""Speed [m/s] and yaw rate [rad/s] that an object moves at, and both per speed of a push [1, rad/m] where that is more:
-one block of 50 mm, pushed at the end of a face, turns by 22 rad a meter."""
+"""Largest speed [m/s] and yaw rate [rad/s] of an object, and both per speed of a push [1, rad/m] where that is more: a
+block of 50 mm that is pushed at the end of a face turns by 22 rad per meter."""
 _NOISE = 5.0
-"""Standard deviations of noise in a jump that is none."""
+"""Standard deviations of noise that do not count as a jump."""
 JUMPS, AMONG = 2, 10
-"""Frames that jump, among the last ones, which end a trial. A single one, as of a tag that flips, is left out."""
+"""Number of jumping frames, among so many of the last ones, that ends a trial. A single one, such as a flipped tag, is
+skipped."""
 
 
 class CameraWatch:
-    """Watch over the frames of one trial."""
+    """Checks on the frames of one trial."""
 
     def __init__(self, camera: Camera, parts: int, push: float = 0.0):
-        """Watch over so many parts, pushed at a speed [m/s]."""
+        """Check frames of `parts` parts; `push`: speed of a push [m/s], 0 without one."""
         self._camera, self._parts = camera, parts
         self._fastest = [max(least, of_push * push) for least, of_push in zip(FASTEST, OF_PUSH, strict=True)]
         self._last: list[tuple[float, np.ndarray] | None] = [None] * parts
         self._jumps: deque[bool] = deque(maxlen=AMONG)
 
     def kept(self, frames: Sequence[SeenFrame], now: float) -> Iterator[SeenFrame]:
-        """The new frames that count, up to the first fault; `now` is the time of their arrival [s].
+        """Valid frames among new ones, up to the first fault; `now` is the time of their arrival [s].
 
         Raises:
-            CameraLostError: another number of parts, a pose off any table, a stamp of another time, or jumps.
+            CameraLostError: wrong number of parts, a pose beyond any table, a stamp outside its range, or jumps.
         """
         for frame in frames:
             check_frame(frame, self._parts)
@@ -64,7 +65,7 @@ class CameraWatch:
             )
 
     def _jump(self, frame: SeenFrame, part: int) -> tuple[str, float]:
-        """Jump of a part since its last frame in words, and over what a hand and the noise can make."""
+        """Jump of a part since its last frame in words, and its ratio to the largest plausible motion and noise."""
         last, pose = self._last[part], frame.poses[part]
         if last is None or np.isnan(pose).any():
             return "", 0.0

@@ -1,4 +1,4 @@
-"""A Kinova Gen3 over Kortex, through a process of its own."""
+"""Driver of a Kinova Gen3 over Kortex, which runs in a process of its own."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ GEN3 = ArmLimits(
     linear_speed=0.5,
     angular_speed=math.radians(100),
 )
-"""Limits of the seven-joint Gen3, as Kinova publishes them."""
+"""Limits of the seven-joint Gen3, as published by Kinova."""
 _ARRIVED = 0.002, math.radians(0.5)
-"""Distance [m] and angle [rad] from a pose that count as its arrival."""
+"""Largest distance [m] and angle [rad] from a pose that has been reached."""
 _RECHECK = 0.025
-"""Time between looks at a pose that should have been reached [s]."""
+"""Time between checks of a reported arrival [s]."""
 
 
 @dataclass(eq=False)
 class KortexArm:
-    """An `Arm`. Entering connects and sets the servoing mode; it moves nothing and clears no fault."""
+    """An `Arm`. Entering connects and sets the servoing mode, without motion or clearing of faults."""
 
     address: str = "192.168.1.10"
     """Address of the arm."""
@@ -46,13 +46,13 @@ class KortexArm:
     tool_length: Annotated[float, Range(0.02, 0.6, "m")] = 0.2115
     """Distance from the arm's interface to the tool center point [m]: sensor, coupling and gripper."""
     turn_speed: Annotated[float, Range(0.01, GEN3.angular_speed, "rad/s")] = math.radians(30)
-    """Turn rate on the way to a pose [rad/s]."""
+    """Turn rate during `move_to` [rad/s]."""
     silence: Annotated[float, Range(0.02, 0.2, "s")] = 0.1
-    """Time without feedback after which a moving arm is stopped, and counts as lost [s]; the arm's own limit too. A
+    """Time without feedback after which a moving arm is stopped, and counts as lost [s]; also the arm's own timeout. A
     process that is silent for 0.6 times as long counts as frozen."""
     watchdog: Annotated[float, Range(0.02, 0.1, "s")] = 0.05
-    """Time without a twist while one is in force, and without a look at `state` until the next stop, after which the
-    arm is stopped [s]."""
+    """Time after which the arm is stopped [s]: without a further twist during a twist, and without a call of `state`
+    from the first motion until a stop."""
     limits = GEN3
     """Limits of the arm; known before connecting."""
 
@@ -64,7 +64,7 @@ class KortexArm:
 
     @property
     def identity(self) -> ArmIdentity:
-        """Model, serial number and firmware by the arm itself."""
+        """Model, serial number and firmware as reported by the arm."""
         return ArmIdentity() if self._link is None else self._link.identity
 
     def __enter__(self) -> Self:
@@ -91,10 +91,10 @@ class KortexArm:
             link.close()
 
     def state(self) -> ArmState:
-        """The newest feedback. From the first motion until a stop this is the sign of life, without which it stops.
+        """The newest feedback. From the first motion until a stop each call resets the watchdog.
 
         Raises:
-            ArmLostError: no connection, no fresh feedback, or meanwhile no stand-by.
+            ArmLostError: no connection, no fresh feedback, or no stand-by while one is required.
         """
         f = self._feedback()
         turn = Rotation.from_euler("xyz", f.tool_angles)
@@ -109,7 +109,7 @@ class KortexArm:
         )
 
     def move_to(self, pose: Pose, speed: float) -> None:
-        """Reach a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
+        """Move to a pose at no more than `speed` [m/s]; returns on arrival or after `stop`."""
         epoch = self._epoch
         link = self._ready()
         number = link.ask(
@@ -129,7 +129,7 @@ class KortexArm:
         self._check_arrival(pose)
 
     def _check_arrival(self, pose: Pose) -> None:
-        """Wait a moment for the arrival: the arm may report it too early."""
+        """Wait up to 0.5 s for the arrival, which the arm may report too early."""
         until = time.monotonic() + 0.5
         while True:
             now = self.state().tcp_pose
@@ -145,7 +145,7 @@ class KortexArm:
             time.sleep(_RECHECK)
 
     def twist(self, linear: Float[np.ndarray, "3"], angular: Float[np.ndarray, "3"]) -> None:
-        """Move at a velocity [m/s, rad/s], base axes, until the next command, or until none comes for too long."""
+        """Move at a velocity [m/s, rad/s], base axes, until the next command or the watchdog's stop."""
         link = self._ready()
         fast = float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
         if not (fast[0] <= GEN3.linear_speed and fast[1] <= GEN3.angular_speed):
@@ -158,7 +158,7 @@ class KortexArm:
         link.ask("twist", twist=[*map(float, linear), *map(float, angular)], epoch=self._epoch)
 
     def stop(self) -> None:
-        """Stop all motion; from any thread, any number of times. Earlier requests no longer count."""
+        """Stop all motion; callable from any thread and repeatedly. Earlier requests are discarded."""
         link = self._link
         if link is None:
             return
@@ -198,7 +198,7 @@ class KortexArm:
         return self._link
 
     def _feedback(self) -> Feedback:
-        """The newest feedback, and a sign of life where one is due."""
+        """The newest feedback; resets the watchdog of an engaged arm."""
         link = self._connected()
         feedback, age = link.feedback, link.age
         if link.lost or feedback is None or age > self.silence:
@@ -209,7 +209,7 @@ class KortexArm:
         return feedback
 
     def _ready(self) -> KortexLink:
-        """Engage the arm: from now on it is watched."""
+        """Engage the arm, which activates the watchdog; returns the link."""
         self._engaged = True
         feedback = self._feedback()
         if feedback.faulted:

@@ -1,4 +1,4 @@
-"""Connections to a Gen3 over Kinova's `kortex_api`; in the processes beside heft, written for Python 3.8."""
+"""Connections to a Gen3 over Kinova's `kortex_api`, for the Kortex and stand-by processes; written for Python 3.8."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ class Configuration:
     username: str = "admin"
     password: str = "admin"
     silence: float = 0.1
-    """Time without feedback after which a moving arm is stopped [s]; the arm itself is told to stop after as long a
-    silence of the connection."""
+    """Time without feedback after which a moving arm is stopped [s]; also the arm's own connection timeout."""
     watchdog: float = 0.05
     """Time without a request of heft after which an engaged arm is stopped [s]."""
 
@@ -51,11 +50,11 @@ class Connection:
     """An open session, and the clients of the arm's services."""
 
     def __init__(self, configuration: Configuration, idle: float):
-        """Connect; `idle` is the silence of this connection after which the arm is to stop by itself [s].
+        """Connect; `idle` is the silence of this connection after which the arm stops by itself [s].
 
         Raises:
             ImportError: no `kortex_api`.
-            Exception: whatever the API raises.
+            Exception: any error of the API.
         """
         self.api = api = kortex_api()
         self._silence = configuration.silence
@@ -75,13 +74,13 @@ class Connection:
         self.router, self.base, self.cyclic = router, api.BaseClient(router), api.BaseCyclicClient(router)
 
     def options(self) -> Any:
-        """Options of a call: one that takes longer than `silence` is a silence too."""
+        """Options of a call, with `silence` as its timeout."""
         options = self.api.RouterClientSendOptions()
         options.timeout_ms = round(self._silence * 1000)
         return options
 
     def stop(self) -> None:
-        """Stop the arm; if it refuses or does not answer, by the emergency stop.
+        """Stop the arm; by the emergency stop if it refuses or does not answer.
 
         Raises:
             Failure: neither was accepted, or the connection is broken.
@@ -101,12 +100,12 @@ class Connection:
 
 
 def broken(error: BaseException) -> bool:
-    """True if an error says that the connection has ended: no call will succeed over it."""
+    """True if an error shows that the connection has ended, so that no call can succeed over it."""
     return isinstance(error, OSError) and not isinstance(error, Timeout)
 
 
 def said(error: BaseException) -> str:
-    """Name and text of an error; a call that takes too long has no text."""
+    """Name and text of an error; a timeout has no text."""
     return f"{type(error).__name__} {error}".strip()
 
 

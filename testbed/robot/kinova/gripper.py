@@ -15,7 +15,7 @@ _GRIP_TIME, _STILL = 5.0, 0.3
 _STEP = 1 / 255
 """Resolution of the fingers' position."""
 _WIDTH_ERROR = 0.006
-"""Error of an opening [m]: the fingers' position is not quite proportional to it."""
+"""Allowed error of an opening [m], which is only roughly proportional to the fingers' position."""
 BASE_MASS, FINGER_MASS = 0.805, 0.06
 """Masses of the base and of each finger [kg]; the published 0.925 kg split so that the center lies at 0.060 m."""
 BASE_HEIGHT, FINGER_HEIGHT, TCP_HEIGHT = 0.049565, 0.13, 0.174
@@ -47,27 +47,27 @@ class KortexGripper:
         return STROKE * (1 - self._arm.closed_part())
 
     def close_on(self, width: float, force: float) -> None:
-        """Close until something stops the fingers. `force` [N] is not commanded: Kortex has no such command."""
+        """Close until an object stops the fingers. `force` [N] is ignored, since Kortex has no such command."""
         self._go(1.0)
         self._check("closed", width, "on nothing", "it does not close, or holds something else")
 
     def open(self, width: float | None) -> None:
-        """Open until the pads are `width` [m] apart, None as far as they go."""
+        """Open until the pads are `width` [m] apart, None for the full stroke."""
         wanted = STROKE if width is None else min(width, STROKE)
         self._go(1 - wanted / STROKE)
         self._check("opened", wanted, "it does not open", "it does not close so far")
 
-    def _check(self, moved: str, width: float, narrower: str, wider: str) -> None:
-        """Raise ArmRefusedError, with the reason of either side, unless the pads are `width` [m] apart."""
+    def _check(self, moved: str, width: float, too_narrow: str, too_wide: str) -> None:
+        """Raise ArmRefusedError unless the pads are `width` [m] apart; the reason depends on the sign of the error."""
         off = self.width() - width
         if abs(off) > _WIDTH_ERROR:
             raise ArmRefusedError(
                 f"gripper: {moved} to {(width + off) * 1e3:.0f} mm; expected {width * 1e3:.0f} mm: "
-                f"{narrower if off < 0 else wider}"
+                f"{too_narrow if off < 0 else too_wide}"
             )
 
     def _go(self, part: float) -> None:
-        """Send the fingers to a part of their stroke, and wait until they stand."""
+        """Move the fingers to a closed fraction of their stroke, and wait until they are at rest."""
         self._arm.ask("grip", position=part)
         begin = still_since = time.monotonic()
         last = self._arm.closed_part()

@@ -1,4 +1,4 @@
-"""Pipes to the process that speaks Kortex, and to the stand-by, which stops the arm if that fails."""
+"""Pipes to the Kortex process, and to the stand-by, which stops the arm if that process fails."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from testbed.robot.kinova.connection import Configuration
 from testbed.robot.kinova.session import Feedback
 
 PYTHON_VARIABLE = "HEFT_KORTEX_PYTHON"
-"""Environment variable with the path of a Python that has `kortex_api`; heft's own if not set."""
+"""Environment variable with the path of a Python that has `kortex_api`; the running Python if not set."""
 WHEEL = "https://artifactory.kinovaapps.com/artifactory/generic-public/kortex/API/2.6.0/kortex_api-2.6.0.post3-py3-none-any.whl"
-"""Address of the maker's wheel; it is not on the package index."""
+"""Address of the manufacturer's wheel, which is not on the package index."""
 _ROOT = str(Path(__file__).parents[3])
 _START = (
     f"import sys; sys.path.insert(0, {_ROOT!r}); from testbed.robot.kinova import process; "
@@ -31,17 +31,17 @@ _START = (
 _CONNECT_TIME = 15.0
 _LAST_WORDS = 5
 _GRACE = 0.01
-"""Time to read what has come before a process counts as silent [s]."""
+"""Time to read received messages before a process counts as silent [s]."""
 
 
 class KortexLink:
-    """The process that speaks Kortex, and the stand-by. Feedback is kept as it comes; a reply wakes who waits for it.
+    """The Kortex process and the stand-by. Threads read feedback and replies as they arrive.
 
-    The stand-by stops the arm over a connection of its own if the first ends without a goodbye or is frozen.
+    The stand-by stops the arm over a connection of its own if the Kortex process ends without a goodbye or is frozen.
     """
 
     def __init__(self, configuration: Configuration):
-        """Start it and connect.
+        """Start both processes and connect.
 
         Raises:
             RobotError: no such interpreter, no `kortex_api` in it, or no arm at the address.
@@ -50,9 +50,9 @@ class KortexLink:
         self.feedback: Feedback | None = None
         """The newest feedback."""
         self.lost = ""
-        """Reason that the arm may not follow its commands any more, else empty."""
+        """Reason that the arm may no longer follow commands, else empty."""
         self.takes_over = False
-        """True once the stand-by stops the arm."""
+        """True once the stand-by has taken over to stop the arm."""
         self.tool: list[float] = []
         """Position of the tool stored in the arm [m]."""
         self.identity = ArmIdentity()
@@ -74,7 +74,7 @@ class KortexLink:
             os.close(beating)
         for read in (self._read, self._read_standby, self._read_errors):
             threading.Thread(target=read, name=f"kortex {read.__name__}", daemon=True).start()
-        with contextlib.suppress(OSError):  # no Python, or it has no kortex_api: the first process says so
+        with contextlib.suppress(OSError):  # no Python, or no kortex_api in it, which the first process reports
             _write(self._standby, asdict(configuration))
         self.send(**asdict(configuration))
         with self._news:
@@ -110,21 +110,21 @@ class KortexLink:
 
     @property
     def _greeted(self) -> bool:
-        """True once both are connected and feedback comes, or one has failed."""
+        """True once both are connected and feedback arrives, or one has failed."""
         if self._greeting is None or self._ended or "connected" not in self._greeting:
             return self._greeting is not None
         return self.feedback is not None and self._beat > 0
 
     @property
     def dead(self) -> bool:
-        """True if the other process has ended."""
+        """True if the Kortex process has ended."""
         return self._process.poll() is not None
 
     def send(self, **message: Any) -> None:
-        """Send a message that gets no reply; never waits.
+        """Send a message without a reply; never blocks.
 
         Raises:
-            ArmLostError: the process has ended, or is frozen and reads no more.
+            ArmLostError: the process has ended, or is frozen and no longer reads.
         """
         try:
             _write(self._process, message)
@@ -139,7 +139,7 @@ class KortexLink:
         return self._count
 
     def reply(self, number: int, seconds: float) -> dict[str, Any] | None:
-        """The reply to a request if it comes within `seconds`, else None.
+        """The reply to a request if it arrives within `seconds`, else None.
 
         Raises:
             ArmLostError: the arm is lost, and no reply will come.
@@ -182,7 +182,7 @@ class KortexLink:
             raise ArmLostError(f"arm: {self.lost or f'the process that stands by to stop it {why}'}")
 
     def stop(self, epoch: int) -> None:
-        """Stop the arm; never waits for long. A process that is frozen is killed, and the stand-by stops the arm."""
+        """Stop the arm; blocks for `_GRACE` at most. A frozen process is killed, so that the stand-by stops the arm."""
         with self._news:
             awake = self._news.wait_for(lambda: self.dead or self.age < self._quiet, _GRACE)
         try:
@@ -196,7 +196,7 @@ class KortexLink:
             self.lost = ""
 
     def close(self) -> None:
-        """End both processes. The first stops the arm; if that fails the stand-by does, and lives on until it has."""
+        """End both processes. The first stops the arm; if it fails, the stand-by does, and ends only afterwards."""
         _end(self._process)
         _end(self._standby, spared=lambda: self.takes_over)
 
@@ -240,7 +240,7 @@ class KortexLink:
 
 
 def _write(process: subprocess.Popen[str], message: dict[str, Any]) -> None:
-    """Write one line, whole or not at all, without waiting: it is shorter than what a pipe takes at once.
+    """Write one line atomically, without blocking: it is shorter than a pipe's buffer.
 
     Raises:
         OSError: the process has ended, or its pipe is full.
@@ -253,7 +253,7 @@ def _write(process: subprocess.Popen[str], message: dict[str, Any]) -> None:
 
 
 def _end(process: subprocess.Popen[str], spared: Callable[[], bool] = lambda: False) -> None:
-    """Close a process's input and wait for its end; kill it after 2 s unless it is to be spared."""
+    """Close a process's input and wait for its end; kill it after 2 s unless `spared` returns True."""
     with contextlib.suppress(OSError):
         assert process.stdin is not None
         process.stdin.close()
@@ -266,7 +266,7 @@ def _end(process: subprocess.Popen[str], spared: Callable[[], bool] = lambda: Fa
 
 
 def missing_api() -> str:
-    """Reason that `kortex_api` cannot be imported and its remedy, else empty; the interpreter as in `KortexLink`."""
+    """Reason that `kortex_api` cannot be imported, with a remedy, else empty; for the interpreter of `KortexLink`."""
     interpreter = _python()
     module = "testbed.robot.kinova.connection"
     code = f"import sys; sys.path.insert(0, {_ROOT!r}); from {module} import kortex_api; kortex_api()"
@@ -278,7 +278,7 @@ def missing_api() -> str:
 
 
 def _python() -> str:
-    """Interpreter of the other process: by the environment alone, since a robot file must not name a program."""
+    """Interpreter of the processes: from the environment only, since a robot file must not name a program."""
     return os.environ.get(PYTHON_VARIABLE) or sys.executable
 
 

@@ -1,8 +1,9 @@
-"""The processes beside heft: Kinova's `kortex_api` with its old protobuf, in any Python that has both.
+"""Kortex process and stand-by process, which run Kinova's `kortex_api` in any Python that has it and its protobuf.
 
-`testbed.robot.kinova.link` starts them, each in a session of its own: no key of heft's terminal and no end of heft
-reaches them. They import next to nothing of heft, and are written for Python 3.8. Requests come as JSON lines on
-standard input, replies and feedback go as JSON lines to standard output; the first line in is a `Configuration`.
+`testbed.robot.kinova.link` starts them, each in a session of its own, so that signals of heft's terminal and the end of
+heft do not reach them. They import only this package's modules for them, and are written for Python 3.8. Requests are
+JSON lines on standard input, replies and feedback JSON lines on standard output; the first request is a
+`Configuration`.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from testbed.robot.kinova.session import Gen3
 from testbed.robot.kinova.standby import Beats, StandBy
 
 _IGNORED = ("SIGINT", "SIGHUP", "SIGTERM", "SIGQUIT", "SIGTSTP", "SIGTTIN", "SIGTTOU")
-"""Signals that are for heft alone: the arm is stopped first, then its process ends."""
+"""Signals for heft only: heft stops the arm, then ends this process."""
 _MOST_WAITING = 10
 
 
 class Line:
-    """Standard output, a line at a time from any thread; a frozen heft that reads no more delays none of them."""
+    """Writer of lines to standard output from any thread; it does not block if heft no longer reads."""
 
     def __init__(self) -> None:
-        # whatever the API prints must not get between the lines
+        # output of the API must not mix with the lines
         self._out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         self._waiting: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
@@ -42,12 +43,12 @@ class Line:
         self._waiting.put(message)
 
     def offer(self, **message: Any) -> None:
-        """Send one message, unless many wait: a newer one will follow."""
+        """Send one message unless `_MOST_WAITING` are queued, since a newer one will follow."""
         if self._waiting.qsize() < _MOST_WAITING:
             self._waiting.put(message)
 
     def close(self) -> None:
-        """Wait a moment until all is written."""
+        """Write all queued messages, for at most 0.1 s."""
         self._waiting.put(None)
         self._writer.join(0.1)
 
@@ -59,7 +60,7 @@ class Line:
 
 
 def serve(pipe: int) -> None:
-    """Connect by the first line, then serve the requests of the others until they end; beats go into `pipe`."""
+    """Connect by the first line, then serve the requests of the following lines; beats are written to `pipe`."""
     _ignore_signals()
     line, beats = Line(), Beats(pipe)
     arm = _begun(line, lambda configuration: Gen3(configuration, line, beats))
@@ -87,7 +88,7 @@ def serve(pipe: int) -> None:
 
 
 def stand_by(pipe: int, mover: int) -> None:
-    """Connect by the first line, then stop the arm if the process `mover`, whose beats come from `pipe`, fails."""
+    """Connect by the first line, then stop the arm if the process with id `mover` fails; `pipe` carries its beats."""
     _ignore_signals()
     line = Line()
     standby = _begun(line, lambda configuration: StandBy(configuration, line, pipe, mover))
@@ -102,7 +103,7 @@ def _begun(line: Line, begin: Callable[[Configuration], Any]) -> Any:
         return begin(Configuration(**json.loads(sys.stdin.readline())))
     except ImportError as error:
         line.say(missing=str(error))
-    except Exception as error:  # the API raises what it likes, and the other side has only this line
+    except Exception as error:  # the API raises any type, and heft learns of it only by this line
         line.say(failed=f"{type(error).__name__}: {error}")
     line.close()
     return None
@@ -114,7 +115,7 @@ def _ignore_signals() -> None:
 
 
 def _tried(call: Any, request: dict, line: Line) -> None:
-    """Serve a slow request beside the reading of others, so that a stop never waits for it."""
+    """Serve a slow request in a thread of its own, so that a stop never waits for it."""
     try:
         call(request)
     except Exception as error:

@@ -1,9 +1,9 @@
-"""A session with a Gen3 over Kinova's `kortex_api`, in the process beside heft; it stops the arm by itself.
+"""Session with a Gen3 over Kinova's `kortex_api`, in the Kortex process, with a watchdog that stops the arm.
 
-It does so after a silence of heft while the arm is engaged, which is from the first motion until a stop, also while it
-stands and while the gripper moves; when heft ends, and when it is closed. Where it cannot, it ends without a goodbye,
-and the stand-by stops the arm. The arm's own estimate of the wrench is never read. Written for Python 3.8. SI units and
-radians towards heft; meters, degrees and degrees per second towards the arm.
+The arm is stopped at the end of the session, at the end of heft, and after a silence of heft while it is engaged: from
+the first motion until a stop, also at rest and while the gripper moves. If that fails, the process ends without a
+goodbye, and the stand-by stops the arm. The arm's own estimate of the wrench is not used. Written for Python 3.8. SI
+units and radians towards heft; meters, degrees and degrees per second towards the arm.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ RATE = 100.0
 POSE_TIME = 60.0
 """Longest time to reach a pose [s]."""
 _NOBODYS = -1
-"""Epoch after a stop without a request of heft."""
+"""Epoch after a stop that heft did not request."""
 
 
 @dataclass
 class Feedback:
-    """State of the arm by its own feedback."""
+    """State of the arm, as it reports it."""
 
     time_s: float
     """Arrival [s], `time.monotonic`."""
@@ -40,17 +40,17 @@ class Feedback:
     tool_position: list[float]
     """Position of the TCP [m]."""
     tool_angles: list[float]
-    """Turns of the tool about the fixed x, y and z axes, in this order [rad]."""
+    """Euler angles of the tool about the fixed x, y and z axes, in this order [rad]."""
     tool_twist: list[float]
     """Linear and angular velocity of the tool [m/s, rad/s]."""
     gripper: float
-    """Closed part of the stroke, 0 to 1; -1 without a gripper."""
+    """Closed fraction of the stroke, 0 to 1; -1 without a gripper."""
     faulted: bool
     message: str
 
 
 class Gen3:
-    """One session with the arm, and the two threads that watch over it."""
+    """One session with the arm, with threads for feedback, watchdog and twists."""
 
     def __init__(self, configuration: Configuration, line: Any, beats: Beats):
         self._line, self._beats = line, beats
@@ -96,12 +96,12 @@ class Gen3:
         return found
 
     def hear(self, request: dict) -> None:
-        """Note a sign of life of heft: any request, but while a twist is in force only a further twist."""
+        """Reset the watchdog by a request of heft; during a twist only by a further twist."""
         if request["do"] == "twist" or not self._twisting:
             self._heard = time.monotonic()
 
     def twist(self, request: dict) -> None:
-        """Send a twist after the one before it; of several that wait, the newest."""
+        """Queue a twist, which replaces one that has not been sent yet."""
         moves = any(request["twist"])
         with self._something:
             if request["epoch"] == self._epoch:
@@ -112,7 +112,7 @@ class Gen3:
                 self._something.notify()
 
     def stop(self, epoch: int = _NOBODYS) -> None:
-        """Stop; requests of another epoch no longer count. A twist on its way is stopped after it."""
+        """Stop, and discard requests of other epochs; stop again after a twist in transit."""
         with self._something:
             self._epoch, self._wanted = epoch, None
         under_way = self._sending.locked()
@@ -126,7 +126,7 @@ class Gen3:
                 self._beats.engage(False)
 
     def pose(self, request: dict) -> None:
-        """Reach a pose; the reply goes out at its end or its failure."""
+        """Move to a pose; the reply is sent on arrival or failure."""
         if not self._engaged_by(request):
             return
         action = self._api.Base.Action()
@@ -148,7 +148,7 @@ class Gen3:
             self._reply(request)
 
     def grip(self, request: dict) -> None:
-        """Send the fingers to a position, 0 open to 1 closed."""
+        """Move the fingers to a position, 0 open to 1 closed."""
         if not self._engaged_by(request):
             return
         command = self._api.Base.GripperCommand()
@@ -159,14 +159,14 @@ class Gen3:
         self._reply(request)
 
     def close(self) -> None:
-        """Stop, end the session, and say goodbye to the stand-by."""
+        """Stop, end the session, and send the goodbye to the stand-by."""
         self._over.set()
         self.stop()
         self._connection.close()
         self._beats.bye()
 
     def _engaged_by(self, request: dict) -> bool:
-        """Engage the arm, unless a stop came between."""
+        """Engage the arm; False if it has been stopped since the request."""
         with self._something:
             if request["epoch"] == self._epoch:
                 self._twisting = False
@@ -195,7 +195,7 @@ class Gen3:
         os._exit(1)
 
     def _to_its_end(self, run: Any) -> None:
-        """Run a thread; its failure is that of the whole."""
+        """Run a thread; its failure ends the process."""
         try:
             run()
         except BaseException as error:
@@ -213,10 +213,10 @@ class Gen3:
         self._action_over.set()
 
     def _send(self) -> None:
-        """Thread: send one twist after the other. A call takes the arm some 25 ms."""
+        """Thread: send twists one by one. A call takes some 25 ms."""
         command = self._api.Base.TwistCommand()
         command.reference_frame = self._api.Common.CARTESIAN_REFERENCE_FRAME_BASE
-        command.duration = 0  # not implemented by the arm: it moves on until told otherwise
+        command.duration = 0  # not implemented by the arm, which moves until the next command
         while not self._over.is_set():
             with self._something:
                 if self._wanted is None:
@@ -238,7 +238,7 @@ class Gen3:
                 self._sending.release()
             if refused:
                 self._reply(request, error=refused)
-                self.stop()  # the twist before it may still be in force
+                self.stop()  # the previous twist may still be executed
 
     def _feed(self) -> None:
         """Thread: read feedback, 100 times a second."""
@@ -265,7 +265,7 @@ class Gen3:
                 if self._beats.engaged and now - since > allowed:
                     self.stop()
                     self._line.say(lost=f"stopped: {who} was silent for {allowed * 1e3:.0f} ms during a trial")
-            if os.getppid() != self._parent:  # another holds the pipe open, so that it does not end
+            if os.getppid() != self._parent:  # another process may hold the pipe open
                 self.close()
                 os._exit(0)
 

@@ -1,7 +1,7 @@
-"""The stand-by: a process with a connection of its own, which stops the arm if the process that moves it fails.
+"""The stand-by: a process with a connection of its own, which stops the arm if the Kortex process fails.
 
-The process that moves the arm sends it beats through a pipe, one with each feedback. The stand-by takes over where that
-pipe ends without a goodbye, and where beats fail to come while the arm is engaged. Written for Python 3.8.
+The Kortex process writes a beat into a pipe with each feedback. The stand-by takes over if that pipe closes without a
+goodbye, or if beats are missing while the arm is engaged. Written for Python 3.8.
 """
 
 from __future__ import annotations
@@ -19,72 +19,72 @@ from testbed.robot.kinova.connection import Configuration, Connection, said
 
 _ENGAGED, _IDLE, _BYE = b"!", b".", b"q"
 _STEP = 0.01
-"""Time between beats of the stand-by [s]."""
+"""Time between reports of the stand-by [s]."""
 _KEEP_ALIVE = 0.04
 """Time between calls over its connection [s]."""
 _IDLE_TIME = 2.0
-"""Silence of its connection that the arm bears [s]: a short pause of it must not stop the arm."""
+"""Silence of its connection that the arm tolerates [s]: a short pause of the stand-by must not stop the arm."""
 _FAREWELL = 1.0
-"""Time for the goodbye after the end of heft [s]."""
+"""Longest time from the end of heft to the goodbye [s]."""
 _RETRY_TIME = 600.0
-"""Time for which it tries to stop the arm [s]."""
+"""Time over which attempts to stop the arm are repeated [s]."""
 _AGAIN = 0.1
-"""Time to the second Stop [s]: for a command that was still under way."""
+"""Time to the second stop [s], which ends a command that was in transit at the first."""
 
 
 class Beats:
-    """The other end of the pipe. A frozen stand-by never delays its writer: what does not fit is dropped."""
+    """Writing end of the pipe. It never blocks: if the stand-by is frozen, beats that do not fit are dropped."""
 
     def __init__(self, pipe: int):
         os.set_blocking(pipe, False)
         self._pipe, self._lock = pipe, threading.Lock()
         self.engaged = False
-        """True from the first motion until a stop: then beats must follow one another."""
+        """True from the first motion until a stop, while beats are required."""
 
     def engage(self, engaged: bool) -> None:
-        """Beat with a new state; before the first command that moves the arm."""
+        """Send a beat with a new state; called before the first command that moves the arm."""
         with self._lock:
             self.engaged = engaged
             self._write(_ENGAGED if engaged else _IDLE)
 
     def beat(self) -> None:
-        """Feedback has come."""
+        """Send a beat; called at each feedback."""
         with self._lock:
             self._write(_ENGAGED if self.engaged else _IDLE)
 
     def bye(self) -> None:
-        """The arm has been stopped, and no more commands will follow."""
+        """Send the goodbye: the arm has been stopped, and no more commands will follow."""
         with self._lock:
             self._write(_BYE)
 
     def end(self) -> None:
-        """End the pipe; without a goodbye the stand-by takes over."""
+        """Close the pipe; without a goodbye the stand-by takes over."""
         with self._lock:
             if self._pipe >= 0:
                 os.close(self._pipe)
             self._pipe = -1
 
-    def _write(self, what: bytes) -> None:
-        with suppress(OSError):  # full, or no stand-by is left: heft sees that
+    def _write(self, beat: bytes) -> None:
+        with suppress(OSError):  # full, or the stand-by has ended, which heft detects
             if self._pipe >= 0:
-                os.write(self._pipe, what)
+                os.write(self._pipe, beat)
 
 
 class StandBy:
-    """Connected while it lives; says every 10 ms what is wrong with its connection, if anything."""
+    """Stand-by with an open connection, whose state it reports every 10 ms."""
 
     def __init__(self, configuration: Configuration, line: Any, beats: int, mover: int):
         """Connect.
 
         Args:
-            configuration: how to reach the arm.
-            line: output towards heft.
-            beats: pipe of the beats.
-            mover: id of the process that moves the arm.
+            configuration: address of the arm, and time limits.
+            line: output to heft.
+            beats: reading end of the pipe of beats.
+            mover: id of the Kortex process, which moves the arm.
 
         Raises:
             ImportError: no `kortex_api`.
-            Exception: whatever the API raises.
+            Exception: any error of the API.
         """
         self._configuration, self._line, self._beats, self._mover = configuration, line, beats, mover
         self._parent = os.getppid()
@@ -109,7 +109,7 @@ class StandBy:
         while True:
             ready = select.select([self._beats] if alone else [self._beats, heft], [], [], _STEP)[0]
             now = time.monotonic()
-            step, before = min(now - before, 2 * _STEP), now  # a pause of its own is not held against the others
+            step, before = min(now - before, 2 * _STEP), now  # a pause of this process is not counted
             alone = alone or heft in ready or os.getppid() != self._parent
             quiet, farewell = quiet + step, farewell + step * alone
             if self._beats in ready:
@@ -121,18 +121,20 @@ class StandBy:
                 quiet, engaged = 0.0, got.endswith(_ENGAGED)
             if (engaged and quiet > self._configuration.quiet) or farewell > _FAREWELL:
                 with suppress(OSError):
-                    os.kill(self._mover, signal.SIGKILL)  # it must not go on later; its pipe is open, so that it lives
+                    os.kill(
+                        self._mover, signal.SIGKILL
+                    )  # so that it cannot resume; its open pipe shows that the id is still its own
                 return f"the process that speaks to it passed on no feedback for {quiet * 1e3:.0f} ms"
             self._line.offer(standby=self._trouble)
 
     def _take_over(self, why: str) -> None:
-        """Stop the arm, twice; over a new connection if need be, as long as it takes."""
+        """Stop the arm twice; reconnect and retry on failure, for up to `_RETRY_TIME`."""
         self._line.say(takes_over=f"{why}; the stand-by stops the arm")
         until, stops = time.monotonic() + _RETRY_TIME, 0
         while time.monotonic() < until:
             try:
                 self._connection.stop()
-            except Exception as error:  # the API raises what it likes
+            except Exception as error:  # the API raises any type
                 self._line.offer(takes_over=f"{why}; the stand-by cannot stop the arm yet: {said(error)}")
                 self._reconnect()
                 continue
@@ -144,7 +146,7 @@ class StandBy:
         self._line.say(takes_over=f"{why}; the stand-by could not stop the arm in {_RETRY_TIME:.0f} s")
 
     def _keep(self) -> None:
-        """Thread: keep the connection alive, and make it anew if it breaks."""
+        """Thread: keep the connection alive, and reconnect if it breaks."""
         while not self._over.wait(_KEEP_ALIVE):
             try:
                 self._connection.cyclic.RefreshFeedback(0, self._connection.options())

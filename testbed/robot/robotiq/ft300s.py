@@ -35,10 +35,10 @@ except ImportError:
 BAUD = 19200
 """8 bits, no parity, 1 stop bit."""
 MEASURING_RANGE = 300.0, 30.0
-"""Largest force and torque on an axis [N, N m], of the maker's data sheet."""
+"""Largest force and torque on an axis [N, N m], by the manufacturer's data sheet."""
 REPEATS = (7, 7, 8, 9, 10, 19)
-"""Most equal values in a row of each component: with the preset's noise, and counts of 0.01 N and 0.001 N m, more come
-with a probability of 1e-10 to 8e-9 per frame."""
+"""Largest number of equal values in a row of each component: with the preset's noise, and counts of 0.01 N and
+0.001 N m, more occur with a probability of 1e-10 to 8e-9 per frame."""
 Count = Annotated[int, Range(2, 30, "frames")]
 _PRESET = preset("ft300s")
 NOISE = (*_PRESET.force_noise, *_PRESET.torque_noise)
@@ -48,12 +48,12 @@ Torque = Annotated[float, Range(5e-4, 0.05, "N m")]
 DEVICE = 9
 """Modbus address."""
 _FIRMWARE, _SERIAL, _STREAM = (500, 3), (510, 4), 410
-"""First registers and their numbers, from the maker's own driver."""
+"""First register and number of registers, from the manufacturer's driver; of the stream the register alone."""
 _START = 0x0200
 _JAM = b"\xff" * 50
-"""Ends a stream; while it lasts the sensor answers no request."""
+"""Bytes that end a stream; while it runs the sensor answers no request."""
 _QUIET = 0.1
-"""Silence that shows that nothing streams [s]."""
+"""Silence after which the sensor is not streaming [s]."""
 _STARTING = 1.0
 """Longest time for a stream to begin [s]."""
 _DROPOUT = 0.05
@@ -62,13 +62,13 @@ _BITS_PER_BYTE = 10
 _STOPPING = 1.0
 """Longest time for a stream to end [s]; about half of it is usual."""
 
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its troubles come as errors of heft
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its failures are raised as errors of heft
 
 
 class Ft300s:
-    """A `WrenchSensor`. A thread only reads the port; the methods make frames of its bytes.
+    """A `WrenchSensor`. A thread reads the port; the methods parse its bytes.
 
-    Undrained frames pile up: 100 a second, some 300 bytes each.
+    Undrained frames are kept: 100 per second, some 300 bytes each.
     """
 
     def __init__(
@@ -79,20 +79,20 @@ class Ft300s:
         repeats: tuple[Count, Count, Count, Count, Count, Count] = REPEATS,
         noise: tuple[Force, Force, Force, Torque, Torque, Torque] = NOISE,
     ):
-        """Describe the sensor; nothing is opened.
+        """Create the sensor without opening its port.
 
         Args:
             port: device file: /dev/ttyUSB0 or, better, its name in /dev/serial/by-id.
             stale_after: silence after which the sensor counts as lost [s].
-            repeats: most equal values in a row of each component.
-            noise: standard deviation of each component at rest, per frame.
+            repeats: largest number of equal values in a row of each component.
+            noise: standard deviation of each component at rest, per frame [N, N m].
         """
         check_settings(Ft300s, {"port": port, "stale_after": stale_after, "repeats": repeats, "noise": noise}, "Ft300s")
         self.port, self.stale_after = port, stale_after
         self.identity = SensorIdentity(
             "Robotiq FT-300S", "unknown", "unknown", RATE, *MEASURING_RANGE, tuple(repeats), tuple(noise)
         )
-        """Name and abilities; serial and firmware are "unknown" before it is entered."""
+        """Name and characteristics; serial and firmware are "unknown" before it is entered."""
         self._serial: serial.Serial | None = None
         self._reset()
 
@@ -110,7 +110,7 @@ class Ft300s:
 
         Raises:
             RobotError: no such port, in use, or another device answers.
-            SensorLostError: it answers, but no frame comes.
+            SensorLostError: it answers, but no frame arrives.
         """
         self._reset()
         try:
@@ -138,7 +138,7 @@ class Ft300s:
                 _silenced(port, streams=True)
 
     def _open(self, port: serial.Serial) -> None:
-        # an adapter may have no such timer, or one that may not be changed: then the line after says so
+        # an adapter may have no such timer, or a fixed one, of which the next line warns
         with suppress(ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)
         self._warnings = tuple(filter(None, [latency_warning(self.port)]))
@@ -183,11 +183,11 @@ class Ft300s:
         )
 
     def _update(self) -> None:
-        """Make samples of all bytes so far; with the lock held."""
+        """Parse all bytes received so far to samples; requires the lock."""
         for now, data in self._reader.take() if self._reader else ():
             self._bytes_since += len(data)
             for frame in self._parser.feed(data):
-                # what came after it took its time on the wire
+                # less the transmission time of the bytes after it
                 arrival = now - frame.behind * _BITS_PER_BYTE / BAUD
                 before = self._latest
                 if before is not None:
@@ -246,7 +246,7 @@ class Ft300s:
 
 
 def _silenced(port: serial.Serial, *, streams: bool = False) -> bool:
-    """Stop a stream; True if nothing streams any more. `streams`: no need to look first."""
+    """Stop a stream; True once the sensor is silent. `streams` skips the check for a stream."""
     port.timeout = _QUIET
     if not streams and not port.read(4096):
         return True

@@ -1,4 +1,4 @@
-"""Serial ports: those of this computer that are USB adapters, and a thread that reads one."""
+"""Serial ports: list of this computer's USB adapters, and a thread that reads a port."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def usb_serial_ports() -> list[str]:
 
 
 def why_closed(port: str, error: Exception) -> str:
-    """Reason that a port cannot be opened, and its remedy."""
+    """Reason that a port cannot be opened, with a remedy."""
     there = ", ".join(usb_serial_ports()) or "none: plug in the USB adapter"
     if not Path(port).exists():
         return f"no such device; USB serial ports: {there}"
@@ -37,24 +37,24 @@ def why_closed(port: str, error: Exception) -> str:
 
 
 _LONGEST_WAIT_MS = 50
-"""Longest wait of the thread [ms]: then it takes bytes too few to wake it, and looks if it is to end."""
+"""Longest wait of the thread [ms], after which it reads fewer bytes than `wake_at` and checks for its end."""
 
 
 class SerialReader:
-    """A thread that reads from its creation until `stop`, or until the port is gone."""
+    """Thread that reads a port from its creation until `stop`, or until the port is disconnected."""
 
     def __init__(self, descriptor: int, wake_at: int):
         """Start reading.
 
         Args:
-            descriptor: of an open terminal device, raw and not blocking, as pyserial opens it.
-            wake_at: bytes to wait for. An adapter hands bytes on one by one: waking for each costs most.
+            descriptor: file descriptor of an open terminal device, raw and non-blocking, as opened by pyserial.
+            wake_at: number of bytes to wait for. An adapter passes bytes singly, and waking for each is costly.
 
         Raises:
-            OSError: the port is gone.
+            OSError: the port is disconnected.
         """
         self.failure = ""
-        """Reason that reading ended by itself, else empty."""
+        """Reason for an unrequested end of reading, else empty."""
         self._descriptor, self._pieces, self._stopped = descriptor, deque[tuple[float, bytes]](), False
         try:
             settings = termios.tcgetattr(descriptor)
@@ -66,7 +66,7 @@ class SerialReader:
         self._thread.start()
 
     def take(self) -> list[tuple[float, bytes]]:
-        """Time [s, `time.monotonic`] and bytes of every read since the last call. For one thread at a time."""
+        """Time [s, `time.monotonic`] and bytes of every read since the last call; for one thread at a time."""
         return [self._pieces.popleft() for _ in range(len(self._pieces))]
 
     def stop(self) -> None:
@@ -75,7 +75,7 @@ class SerialReader:
         self._thread.join()
 
     def _run(self) -> None:
-        # a hundred times a second, with cold caches: the least that there can be
+        # runs 100 times per second: as little work as possible
         bytes_there = select.poll()
         bytes_there.register(self._descriptor, select.POLLIN)
         try:

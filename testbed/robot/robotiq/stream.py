@@ -1,4 +1,4 @@
-"""Byte stream of an FT-300S: whole frames found among damaged ones, and lost frames counted.
+"""Byte stream of an FT-300S: parser for valid frames among damaged ones, and counter of lost frames.
 
 A frame is 16 bytes: header 0x20 0x4E, six int16 little-endian (force in 1/100 N, torque in 1/1000 N m), Modbus CRC-16
 of the first 14, low byte first.
@@ -28,7 +28,7 @@ HEADER = b"\x20\x4e"
 DIVISOR = np.array([100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0])
 """Counts per newton and per newton meter, shape (6,)."""
 _BLOCK = 20
-"""Frames over which lateness lasts if it is a loss: 0.2 s, longer than an operating system keeps a reader waiting."""
+"""Number of frames over which lateness must persist to be a loss: 0.2 s, longer than a reader is suspended."""
 
 
 class Frame(NamedTuple):
@@ -37,22 +37,22 @@ class Frame(NamedTuple):
     wrench: Float[np.ndarray, "6"]
     """Wrench [N, N m], sensor axes."""
     behind: int
-    """Bytes that had arrived after it."""
+    """Number of bytes that had arrived after it."""
 
 
 class FrameParser:
-    """Finder of frames in a stream of bytes that may begin anywhere and be damaged anywhere."""
+    """Parser of a byte stream that may begin within a frame and may be damaged anywhere."""
 
     def __init__(self) -> None:
         self.crc_errors = 0
         """Headers followed by a wrong checksum."""
         self.resyncs = 0
-        """Times that bytes were skipped after a frame."""
+        """Number of times that bytes were skipped after a frame."""
         self._buffer = bytearray()
         self._in_step = False
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in; returns the frames that they complete, in order."""
+        """Parse further bytes; returns the frames that they complete, in order."""
         buffer, at, found = self._buffer, 0, []
         buffer += data
         while True:
@@ -87,10 +87,10 @@ def checksum(data: bytes) -> bytes:
 
 
 class FrameClock:
-    """Counter of frames that were due and did not come.
+    """Counter of frames that were due and did not arrive.
 
-    A late frame is not lost: a reader that was kept waiting takes all that queued up. Lateness that no frame of a block
-    makes up is loss. The clock follows the sensor's, up to 2 % off.
+    A late frame is not lost: a suspended reader later receives all queued frames. The least lateness within a block of
+    frames counts as loss. The clock follows that of the sensor, up to 2 % off the nominal rate.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class FrameClock:
         self._late: list[float] = []
 
     def arrived(self, time_s: float) -> None:
-        """Take in the arrival of a frame [s]."""
+        """Count the arrival of a frame [s]."""
         due = time_s if self._due is None else self._due
         self._late.append(time_s - due)
         self._due = due + _PERIOD

@@ -30,7 +30,7 @@ class Misbehaving:
 
 
 def misbehave(way: str) -> str:
-    """Task: as told; "nan" and "well" return."""
+    """Task that fails in the named way; "nan" and "well" return."""
     match way:
         case "raise":
             raise RuntimeError("out of ideas")

@@ -1,4 +1,4 @@
-"""A robot behind its interfaces, in one process and in simulated time: quick, and deaf to the machine's load."""
+"""Robot behind its interfaces, in one process and in simulated time, which does not depend on the machine's load."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Troubles:
     sensor_lost: bool = False
     sensor_stalls: bool = False
     drops: float = 0.0
-    """Part of the frames that are lost."""
+    """Fraction of lost frames."""
     frozen: bool = False
     """Repeats one frame."""
     stuck: int | None = None

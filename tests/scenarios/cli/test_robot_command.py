@@ -44,6 +44,8 @@ from tests.helpers import commands
 from viz.recordings.trial import SensorStream
 
 SHEET = gripper_class(RobotFile()).data_sheet(0.05)
+BRISK = "[bench]\ntare_s = 0.4\ntravel_speed_m_s = 0.13\n"
+"""Short waits, for trials that test the command alone."""
 ended = partial(commands.ended, "robot")
 
 
@@ -72,8 +74,8 @@ def straight(sign: Sign = 1, turn: float = 0.0) -> Calibration:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("serial", "code"), [("FSC-1234", 0), ("FSC-9", 1)])
-def test_a_check_with_everything_there(folder, capsys, monkeypatch, serial, code):
-    """Also with a calibration of another sensor, which is told."""
+def test_a_check_with_all_devices(folder, capsys, monkeypatch, serial, code):
+    """Also with a calibration of another sensor, which is reported."""
     monkeypatch.setenv("PYTHONPATH", KORTEX)
     save_calibration(folder / "calibration.toml", straight(), serial, "2026-01-01")
     with FakeFt300s() as sensor, FakeGen3(Gen3World(small_object())) as arm:
@@ -108,7 +110,7 @@ def test_a_known_mass_tests_the_sensor(folder, capsys, monkeypatch, hung, code, 
 
 
 class Still:
-    """An arm and a sensor of somebody else's, in the poses into which a person brings them."""
+    """Arm and sensor of another package, in poses set by hand."""
 
     identity = SensorIdentity("Still", "S-1", "1", 100.0)
     limits = None
@@ -172,7 +174,7 @@ def test_a_device_that_cannot_be_built_is_named(folder, install, table, field):
 
 @pytest.mark.slow
 def test_a_calibration_by_hand_is_found_and_saved(folder, capsys, monkeypatch):
-    """A person brings the arm into the poses; one is spoilt by moving, and is refused."""
+    """Of the poses set by hand one is refused, since the arm still moves."""
     model = f'model = "{__name__}:Still"\n'
     (folder / "robot.toml").write_text(f"[sensor]\n{model}[arm]\n{model}", encoding="utf-8")
     monkeypatch.setattr(Still, "at", -1)
@@ -196,7 +198,7 @@ def test_a_calibration_by_hand_is_found_and_saved(folder, capsys, monkeypatch):
 
 
 class OutsideArm(FakeArm):
-    """The arm of the fake robot that a test has set up, as somebody else's package would bring it."""
+    """Arm of the fake robot that a test has set up, as another package would provide it."""
 
     robots: tuple[FakeRobot, ...] = ()
 
@@ -248,7 +250,8 @@ def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, outside, 
     """In simulated time: the registry builds them by the names in the robot file, and the command runs the trial."""
     devices = ("arm", "gripper", "sensor")
     install(**{f"{kind}s": f"mine = {OUTSIDE[kind]}" for kind in devices})
-    (folder / "robot.toml").write_text("".join(f'[{kind}]\nmodel = "mine"\n' for kind in devices), encoding="utf-8")
+    tables = "".join(f'[{kind}]\nmodel = "mine"\n' for kind in devices)
+    (folder / "robot.toml").write_text(BRISK + tables, encoding="utf-8")
     planned, robot = outside(Rotate(0, duration=1.3, pivot=(0.0, 0.01)))
     words = ("trial", "two.toml", "--seconds", "1.3", "--pivot", "0", "10", "--no-back", "--out", "out")
     answer(monkeypatch, "no")
@@ -266,7 +269,7 @@ def test_a_trial_on_an_arm_a_gripper_and_a_sensor_from_outside(folder, outside, 
 @pytest.mark.slow
 def test_a_push_from_where_a_camera_sees_the_object(folder, outside, capsys, monkeypatch):
     """It lies elsewhere than in the simulation, and is pushed there."""
-    tables = "".join(f'[{kind}]\nmodel = "{name}"\n' for kind, name in OUTSIDE.items())
+    tables = BRISK + "".join(f'[{kind}]\nmodel = "{name}"\n' for kind, name in OUTSIDE.items())
     (folder / "robot.toml").write_text(tables, encoding="utf-8")
     push = push_of(load_object("two.toml").shape, (51.0, -10.0))
     assert isinstance(push, Push) and push.point == pytest.approx((0.05, -0.01))
@@ -311,7 +314,7 @@ def test_a_scales_reading_is_stored_and_moves_nothing(folder, capsys):
     assert len(ReplayRunner(folder / "out").recordings) == 1
 
 
-def test_a_full_disk_at_the_end_is_said(folder, capsys, monkeypatch):
+def test_a_full_disk_at_the_end_is_reported(folder, capsys, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -404,14 +407,16 @@ def test_bad_input_is_one_clear_line(folder, capsys, words, field):
 
 
 def test_a_robot_file_names_its_errors(folder):
-    (folder / "mine.toml").write_text(
-        "[limits]\nlow_m = [0.6, -0.3, 0.1]\nhigh_m = [0.3, 0.3, 0.3]\n", encoding="utf-8"
-    )
-    with pytest.raises(HeftError, match=r"limits.*high_m: got \[0\.3, .*; allowed: a corner beyond low_m"):
-        load_robot_file(folder / "mine.toml")
-    (folder / "mine.toml").write_text("[limits]\nforce_n = 3\n[bench]\ntare_s = 0\n", encoding="utf-8")
-    with pytest.raises(HeftError, match=r"(?s)limits\.force_n.*force_N.*|bench\.tare_s"):
-        load_robot_file(folder / "mine.toml")
+    for text, refusal in (
+        (
+            "[limits]\nlow_m = [0.6, -0.3, 0.1]\nhigh_m = [0.3, 0.3, 0.3]",
+            r"limits.*high_m: got \[0\.3, .*; allowed: a corner beyond low_m",
+        ),
+        ("[limits]\nforce_n = 3\n[bench]\ntare_s = 0", r"(?s)bench\.tare_s.*limits\.force_n.*force_N"),
+    ):
+        (folder / "mine.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(HeftError, match=refusal):
+            load_robot_file(folder / "mine.toml")
     assert load_robot_file(Path("robot.toml")) == RobotFile()
 
 
@@ -443,7 +448,7 @@ def test_a_trial_over_wires_is_run_and_stored(folder, capsys, monkeypatch):
     with FakeRig(model) as rig:
         wires = rig.wires
         text = f'[sensor]\nport = "{wires.sensor_port}"\n[arm]\naddress = "127.0.0.1"\nport = {wires.arm_port}\n'
-        (folder / "robot.toml").write_text(text, encoding="utf-8")
+        (folder / "robot.toml").write_text(text + BRISK, encoding="utf-8")
         for _ in range(4):  # a busy machine ends a trial, or refuses it before anything moves
             rig.place(starting_pose(planned), 2)
             answer(monkeypatch, "yes")

@@ -150,7 +150,7 @@ def test_poses_are_reached_and_stopped(arm, gen3):
 
 
 @slow
-def test_it_stands_while_it_is_looked_at_and_stops_without(arm, gen3):
+def test_polling_keeps_it_engaged_and_silence_stops_it(arm, gen3):
     arm.twist(FORWARD / 3, STAND)
     arm.twist(STAND, STAND)
     begin = time.monotonic()
@@ -281,7 +281,7 @@ def test_a_connection_that_fails_is_explained(gen3, monkeypatch, environment, se
         arm_at(**{"port": gen3.port, **settings}).__enter__()
 
 
-def test_what_runs_beside_heft_runs_in_an_old_python():
+def test_the_kortex_processes_run_in_an_old_python():
     """Standard library alone, and the syntax of Python 3.8: these modules and the packages above them."""
     kinova = Path(testbed.__file__).parent / "robot" / "kinova"
     beside = ("process", "session", "connection", "standby")
@@ -303,7 +303,7 @@ ELSEWHERE = (
     "arm resets the connection",
     "SIGSTOP of the arm's process, and both are reset",
 )
-"""Faults that are struck in every phase; the others amid twists."""
+"""Faults that are struck in every phase; the others during twists."""
 
 
 untouched = running
@@ -316,7 +316,7 @@ CASES = [(name, phase) for name in WIRE_FAULTS for phase in (PHASES if name in E
 @slow
 @pytest.mark.parametrize(("name", "phase"), CASES)
 def test_every_fault_stops_the_arm_and_ends_the_trial(name: str, phase: Phase, untouched: FakeGen3):
-    """By a command, long before it has gone as far as it was to go; the record does not say that all went well."""
+    """By a command, long before the end of the motion; the record does not report success."""
     outcome = stopped_after(untouched, WIRE_FAULTS[name], phase)
     assert outcome.stop_s < 1.0
     assert outcome.moved_mm < 25

@@ -73,13 +73,12 @@ def test_links_are_dragged_as_in_the_simulation():
         assert_allclose((mine.turned - other.turned).mean(axis=0)[:, 1] / claimed, 0, atol=3.5)
 
 
-def trouble(**what):
-    """Troubles that begin amid the motion."""
+def trouble(**changes):
+    """Troubles that begin during the motion."""
 
     def watch(robot):
         if robot.world.twist[1] > 0.02 and abs(robot.world.twist[2]) < 0.01:
-            for name, value in what.items():
-                setattr(robot.troubles, name, value)
+            vars(robot.troubles).update(changes)
 
     return watch
 
@@ -94,7 +93,7 @@ def trouble(**what):
     ],
     ids=["lost", "blind", "hit"],
 )
-def test_a_push_that_fails_stops_and_tells(watch, status, why):
+def test_a_push_that_fails_stops_with_its_reason(watch, status, why):
     record, robot = run(Trial(OBJECT, PUSH), watch)
     assert record.status == status and why in record.reason
     assert not robot.world.driven
@@ -112,7 +111,7 @@ def test_a_push_beside_the_object_is_no_data():
     assert record.status == "slipped" and "met the object for" in record.reason
 
 
-def test_what_no_camera_sees_or_elsewhere_is_refused_before_anything_moves():
+def test_an_object_out_of_view_or_elsewhere_is_refused_before_any_motion():
     trial = Trial(OBJECT, PUSH)
     for each in (trial, Trial(in_links(), Rotate(0))):
         _, blind = robot_for(each, camera=None)
@@ -188,7 +187,7 @@ def tilting(settings: RobotSettings) -> RobotSettings:
 
 
 @SLOW
-def test_the_leg_in_the_air_moves_as_it_says_it_does():
+def test_velocities_of_the_lifting_leg_are_those_of_its_poses():
     settings = tilting(RobotSettings(data_sheet(0.05), table_height=0.01))
     plan = plan_trial(TRIAL, np.array([0.5, -0.1, 0.4]), settings)
     plan.check(settings)
@@ -253,7 +252,7 @@ def test_a_lift_on_the_arm_weighs_and_finds_the_center():
     ],
     ids=["load", "sensor", "tilt"],
 )
-def test_whatever_ends_a_lift_stops_the_arm_and_holds_on(trouble, value, status, within_s):
+def test_every_end_of_a_lift_stops_the_arm_and_keeps_the_grip(trouble, value, status, within_s):
     struck: list[float] = []
 
     def strike(robot):

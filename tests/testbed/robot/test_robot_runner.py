@@ -228,7 +228,7 @@ MISTAKES = {
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n == "sign" else pytest.mark.slow) for n in MISTAKES], ids=str
 )
-def test_a_wrong_calibration_shows_before_anything_is_touched(name):
+def test_a_wrong_calibration_is_detected_before_any_contact(name):
     """By the change of the wrench as the tool is tilted over the object."""
     lowest: list[float] = []
     record, robot = run_trial(
@@ -283,6 +283,7 @@ def test_a_fault_stops_the_arm_and_no_bad_record_is_data(fault, phase):
 
 
 PATH = Rotate(0, duration=2.0).tool_path(OBJECT.shape, np.zeros(3), 0.01)
+RESTLESS = "tare: the force scattered"
 GOOD = GripEvidence(lost_frames=0, held_width=(0.05, 0.0501), slip=(1e-4, 1e-3))
 
 
@@ -315,7 +316,7 @@ def wrench(at: slice, value: np.ndarray | float) -> np.ndarray:
     return changed
 
 
-def test_nothing_speaks_against_a_good_record():
+def test_a_good_record_has_no_defect():
     assert list(doubts(turn_of(), GOOD, PATH)) == []
     assert list(doubts(turn_of(), replace(GOOD, slip=None), None)) == []
 
@@ -330,13 +331,8 @@ def test_nothing_speaks_against_a_good_record():
         ({}, {"lost_frames": 10}, "fault", "10 of "),
         ({"wrench_gap": 0.06}, {}, "fault", "sensor: silent for 60 ms"),
         ({"feedback_gap": 0.09}, {}, "fault", "arm: silent for 90 ms"),
-        ({"wrench": wrench(slice(0, 50), 3 + np.arange(50)[:, None] * 1e-3)}, {}, "fault", "tare: the force scattered"),
-        (
-            {"wrench": wrench(slice(-40, -1), 3 + np.arange(39)[:, None] * 1e-3)},
-            {},
-            "fault",
-            "tare: the force scattered",
-        ),
+        ({"wrench": wrench(slice(0, 50), 3 + np.arange(50)[:, None] * 1e-3)}, {}, "fault", RESTLESS),
+        ({"wrench": wrench(slice(-40, -1), 3 + np.arange(39)[:, None] * 1e-3)}, {}, "fault", RESTLESS),
         ({"segment": np.where(np.arange(480) % 9 == 0, -1, turn_of().segment)}, {}, "fault", "of steady stretch 0"),
     ],
 )
@@ -347,11 +343,11 @@ def test_each_reason_is_found_alone(changes, evidence, status, said):
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 1.0], ids=["frozen", "quiet", "noise"])
-def test_a_sensor_that_feels_nothing_of_the_motion_is_dead(scale):
-    felt = scale * 0.07 * np.random.default_rng(0).standard_normal((480, 6)) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]
-    (found,) = doubts(turn_of(wrench=felt), GOOD, PATH)
+def test_a_sensor_without_a_response_to_the_motion_is_dead(scale):
+    idle = scale * 0.07 * np.random.default_rng(0).standard_normal((480, 6)) + [3.3, -2.1, 9.2, 0.11, -0.21, 0.31]
+    (found,) = doubts(turn_of(wrench=idle), GOOD, PATH)
     assert found[0] == "fault" and "the sensor feels nothing" in found[1]
 
 
-def test_a_zero_that_has_moved_between_the_tares_is_no_scatter_of_either():
+def test_a_zero_that_drifts_between_the_tares_is_no_scatter_of_either():
     assert list(doubts(turn_of(wrench=turn_of().wrench + np.linspace(0, 5, 480)[:, None] ** 3 / 400), GOOD, PATH)) == []

@@ -45,7 +45,7 @@ def at(x: float, y: float, z: float) -> Pose:
     return Pose(np.array([x, y, z]), np.array(DOWN))
 
 
-def test_nothing_is_found_where_all_is_well():
+def test_a_safe_state_has_no_violation():
     assert list(violations(LIMITS, GEN3, snapshot())) == []
 
 
@@ -64,11 +64,7 @@ def test_nothing_is_found_where_all_is_well():
         ({"tcp_pose": at(0.45, 0.36, 0.1)}, r"y of the tool: 0\.36 m; allowed: at most 0\.35 m", False),
         ({"tcp_pose": at(0.45, 0.0, 0.01)}, r"z of the tool: 0\.01 m; allowed: at least 0\.015 m", False),
         ({"tcp_pose": tilted(0.1)}, r"tilt of the tool: 0\.1 rad; allowed: at most 0\.0873 rad", False),
-        (
-            {"joint_position": np.array([0, 2.2, 0, 0, 0, 0, 0])},
-            r"joint 2: 2\.2 rad; allowed: at most 2\.19 rad",
-            False,
-        ),
+        ({"joint_position": np.eye(7)[1] * 2.2}, r"joint 2: 2\.2 rad; allowed: at most 2\.19 rad", False),
         ({"joint_velocity": np.array([0, 0, 0, 0, 0, 0, -1.3])}, r"speed of joint 7: 1\.3 rad/s", False),
     ],
     ids=lambda v: v if isinstance(v, str) else None,
@@ -84,10 +80,8 @@ def test_each_limit_is_found_alone(changes, said, broken):
 def test_what_is_no_number_passes_no_limit():
     nan = np.full(6, np.nan)
     assert {v.limit for v in violations(LIMITS, GEN3, snapshot(load=nan))} == {"force", "torque"}
-    assert {v.limit for v in violations(LIMITS, GEN3, snapshot(command=nan))} == {
-        "commanded speed",
-        "commanded turn rate",
-    }
+    commanded = {"commanded speed", "commanded turn rate"}
+    assert {v.limit for v in violations(LIMITS, GEN3, snapshot(command=nan))} == commanded
     assert any(v.broken for v in violations(LIMITS, GEN3, snapshot(wrench_time=np.nan)))
 
 
@@ -146,7 +140,7 @@ STUCK = np.array([0.01, 0.01, 0.01, 0.01, 0.0, 0.01])
 
 
 class Stub:
-    """Arm and sensor at once: all is well until a test changes them."""
+    """Arm and sensor in one, without faults until a test changes them."""
 
     limits = GEN3
     identity = SensorIdentity("stub", "1", "1", 100.0, 300.0, 30.0)
@@ -183,7 +177,7 @@ def guard_of(stub: Stub, clock: Clock | None = None) -> Guard:
     return Guard(stub, stub, SafetyLimits(), clock or MonotonicClock())  # pyright: ignore[reportArgumentType]
 
 
-def test_nothing_is_stopped_if_all_is_well():
+def test_a_safe_trial_is_not_stopped():
     """Nor while the arm stands; a load counts from the tare."""
     stub = Stub()
     stub.load = PUSH
@@ -260,7 +254,7 @@ def test_a_twist_beyond_a_limit_is_not_sent():
     assert stub.twists == 0
 
 
-def test_a_guard_that_cannot_look_lets_nothing_move():
+def test_a_guard_that_no_longer_checks_permits_no_motion():
     class Deaf(MonotonicClock):
         def every(self, period: float, call: Callable[[], None]):
             return super().every(period, lambda: call() if heard else None)

@@ -23,6 +23,7 @@ from testbed.robot.interfaces import MonotonicClock
 from testbed.robot.registry import build_camera
 from testbed.sensing.camera import CAMERAS
 from tests.fakes.analytic_push import drag_of
+from tests.fakes.robot import Entered
 from tests.helpers.pages import DOCS
 from tests.helpers.waiting import until
 
@@ -95,7 +96,7 @@ def test_poses_in_space_are_taken_to_the_base():
      {"poses": [[11, 0, 0]]}, {"poses": [[0, 0, 0]], "age_s": 3600}, {"poses": [None] * 8000},
      b"[" * 30000, b'{"poses": ' + b"[" * 30000 + b"]" * 30000 + b"}"],
 )  # fmt: skip
-def test_what_is_no_frame_is_told(message):
+def test_a_malformed_datagram_is_refused(message):
     with UdpCamera(port=0) as camera:
         sent(camera, message)
         with pytest.raises(CameraLostError, match=r"camera: got .*; allowed: a JSON object"):
@@ -114,14 +115,12 @@ def test_a_thread_that_has_ended_is_noticed():
             camera.drain()
 
 
-def test_a_taken_port_and_bad_settings_are_told():
+def test_a_port_in_use_and_wrong_settings_are_refused():
     with UdpCamera(port=0) as camera, pytest.raises(CameraLostError, match="Address already in use"):
         UdpCamera(port=camera.port).__enter__()
-    table = {"model": "udp", "settings": {"port": "five"}}
-    with pytest.raises(InvalidValueError, match=r"port: got 'five'"):
-        build_camera(RobotFile.model_validate({"camera": table}))
-    with pytest.raises(InvalidValueError, match=r"camera\.settings: got 'prot'.*nearest: port"):
-        build_camera(RobotFile.model_validate({"camera": table | {"settings": {"prot": 5}}}))
+    for settings, refusal in (({"port": "five"}, "port: got 'five'"), ({"prot": 5}, "got 'prot'.*nearest: port")):
+        with pytest.raises(InvalidValueError, match=rf"camera\.settings.*{refusal}"):
+            build_camera(RobotFile.model_validate({"camera": {"model": "udp", "settings": settings}}))
     assert build_camera(RobotFile()) is None
 
 
@@ -136,33 +135,31 @@ def test_the_sender_of_the_page_is_understood():
 
 
 def test_the_place_of_an_object_is_the_median_of_a_look():
-    class Turning:
-        def __init__(self):
-            self.count = 0
+    class Camera(Entered):
+        count = 0
 
-        def drain(self):
+        def drain(self) -> list[SeenFrame]:
             self.count += 1
-            stray = [5.0, 5.0, 1.0] if self.count == 4 else [0.4, 0.1, math.pi - 0.001 * (-1) ** self.count]
-            return [SeenFrame(0.1 * self.count, np.array([stray, [math.nan] * 3]))]
+            pose = [5.0, 5.0, 1.0] if self.count == 4 else [0.4, 0.1, math.pi - 0.001 * (-1) ** self.count]
+            return [SeenFrame(0.1 * self.count, np.array([pose, [math.nan] * 3]))]
 
     class Skipping(MonotonicClock):
-        def __init__(self):
-            self.time = 0.0
+        time = 0.0
 
-        def now(self):
+        def now(self) -> float:
             return self.time
 
-        def sleep(self, seconds):
+        def sleep(self, seconds: float) -> None:
             self.time += seconds
 
-    clock, camera = Skipping(), Turning()
-    x, y, yaw = SeenPose(camera, clock, parts=2).read()  # pyright: ignore[reportArgumentType]
+    clock, camera = Skipping(), Camera()
+    x, y, yaw = SeenPose(camera, clock, parts=2).read()
     assert (x, y) == (0.4, 0.1)
     assert abs(math.remainder(yaw - math.pi, math.tau)) < 0.002
     with pytest.raises(CameraLostError, match="saw part 1 of the object in 0 frames"):
-        SeenPose(camera, clock, parts=2, part=1).read()  # pyright: ignore[reportArgumentType]
+        SeenPose(camera, clock, parts=2, part=1).read()
     with pytest.raises(CameraLostError, match="poses of 2 parts; the object has 1"):
-        SeenPose(camera, clock).read()  # pyright: ignore[reportArgumentType]
+        SeenPose(camera, clock).read()
 
 
 def test_a_trials_frames_lose_their_mean_delay_and_their_jumps():

@@ -102,14 +102,14 @@ def block_object(
 
     Args:
         name: the object's name.
-        cells: where blocks are, in the order of `mass`.
+        cells: places of the blocks, in the order of `mass`.
         size: side of a block, m.
         height: height of a block, m.
         mass: mass of each block, kg.
         friction: friction coefficient of each friction group.
         friction_group: index into `friction` of each block.
         grid: particles along a block's side; a block becomes grid x grid particles.
-        hand: the gripper, which takes rows of blocks as far as it opens.
+        hand: the gripper, whose opening limits the rows of blocks that it grasps.
 
     Raises:
         InvalidValueError: cells that are not joined, grid < 1, lengths that do not match, or values out of range.
@@ -139,14 +139,14 @@ def block_object(
         friction_group=np.repeat(friction_group, per_block),
         cell=size / grid,
         height=height,
-        grasps=(*_grasps(cells, centers, size), *_rows(cells, centers, size, hand)),
+        grasps=(*_block_grasps(cells, centers, size), *_row_grasps(cells, centers, size, hand)),
         group_names=tuple(cell.name for cell in cells),
     )
     return ObjectModel(name, shape, MassDistribution(np.asarray(mass) / per_block, np.asarray(friction)))
 
 
-def _grasps(cells: list[Cell], centers: np.ndarray, size: float) -> tuple[Grasp, ...]:
-    """A block can be taken where two opposite faces are free: across x if they are left and right, else across y."""
+def _block_grasps(cells: list[Cell], centers: np.ndarray, size: float) -> tuple[Grasp, ...]:
+    """Grasps of blocks with two free opposite faces: across x if these are left and right, else across y."""
     grasps = []
     for cell, center in zip(cells, centers, strict=True):
         right, top, left, bottom = (neighbor in cells for neighbor in neighbors(cell))
@@ -157,8 +157,8 @@ def _grasps(cells: list[Cell], centers: np.ndarray, size: float) -> tuple[Grasp,
     return tuple(grasps)
 
 
-def _rows(cells: list[Cell], centers: np.ndarray, size: float, hand: Hand) -> list[Grasp]:
-    """Rows of blocks between two free faces can be taken across both, where the hand opens that far and has room."""
+def _row_grasps(cells: list[Cell], centers: np.ndarray, size: float, hand: Hand) -> list[Grasp]:
+    """Grasps across rows of blocks between two free faces, where the hand opens far enough and has room."""
     at, grasps = dict(zip(cells, centers, strict=True)), []
     for closing, (across, up) in ((0.0, (1, 0)), (np.pi / 2, (0, 1))):
         for first in cells:
@@ -178,10 +178,10 @@ def _rows(cells: list[Cell], centers: np.ndarray, size: float, hand: Hand) -> li
 
 
 def _has_room(
-    beside: Float[np.ndarray, "N 2"], closing: tuple[int, int], width: float, size: float, hand: Hand
+    offsets: Float[np.ndarray, "N 2"], closing: tuple[int, int], width: float, size: float, hand: Hand
 ) -> bool:
-    """True if no block, `beside` a row's middle [m], is where the open fingers come down."""
-    along, across = np.abs(beside @ closing), np.abs(beside @ closing[::-1])
+    """True if no block, at `offsets` from the middle of a row [m], is where the open fingers come down."""
+    along, across = np.abs(offsets @ closing), np.abs(offsets @ closing[::-1])
     ends = (along + size / 2 > width / 2 + 1e-9) & (along - size / 2 < hand.stroke / 2 + hand.finger_depth - 1e-9)
     return not (ends & (across < (hand.finger_width + size) / 2 - 1e-9)).any()
 

@@ -61,11 +61,12 @@ class RigidBody:
 
 
 AIR = 0.001
-"""Height over the table of boxes that do not touch it [m], that no simulator has them rub; a tenth of a flat object."""
+"""Height over the table of boxes that do not touch it [m], so that no simulator applies friction to them; a tenth of
+the height of a flat object."""
 
 
 def boxes_of(shape: ObjectShape, distribution: MassDistribution) -> list[Box]:
-    """A box a mass group where its cells, all alike, fill a rectangle of one friction; else a box a cell."""
+    """Boxes: one per mass group whose cells, of equal fill, form a rectangle of one friction; else one per cell."""
     boxes, air, is_foot = [], min(AIR, shape.height / 10), np.isin(np.arange(len(shape.particles)), shape.feet)
     for group, name in enumerate(shape.group_names):
         own = shape.mass_group == group
@@ -116,7 +117,7 @@ class Link:
 def links_of(
     name: str, shape: ObjectShape, distribution: MassDistribution, hinge_friction: Sequence[float] = ()
 ) -> list[Link]:
-    """Links of an object in the order of its chain; of a rigid object one.
+    """Links of an object in the order of its chain; a rigid object has one.
 
     Args:
         name: the object's name.
@@ -125,7 +126,7 @@ def links_of(
         hinge_friction: torque of Coulomb friction of each hinge [N m].
 
     Raises:
-        InvalidValueError: a link without mass, which no simulator moves.
+        InvalidValueError: a link without mass, which no simulator accepts.
     """
     places, link_of_group = np.zeros((1, 3)), np.zeros(shape.n_m, dtype=int)
     if shape.chain is not None:
@@ -134,9 +135,9 @@ def links_of(
     boxes, links = boxes_of(shape, distribution), []
     for index, (origin, torque) in enumerate(zip(places, (0.0, *hinge_friction), strict=True)):
         own = [box for box in boxes if link_of_group[box.group] == index]
-        called, hinge = (f"link_{index}", f"hinge_{index - 1}") if index else (name, "")
+        link_name, hinge = (f"link_{index}", f"hinge_{index - 1}") if index else (name, "")
         if sum(box.mass for box in own) <= 0:
-            raise InvalidValueError("mass", f"{called} of 0 kg", "a mass > 0 in every link")
+            raise InvalidValueError("mass", f"{link_name} of 0 kg", "a mass > 0 in every link")
         placed = tuple(replace(box, center=box.center - origin) for box in own)
-        links.append(Link(called, origin, placed, hinge, float(torque)))
+        links.append(Link(link_name, origin, placed, hinge, float(torque)))
     return links

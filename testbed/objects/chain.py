@@ -18,9 +18,9 @@ MOST_LINKS = 3
 
 @dataclass(frozen=True, eq=False)
 class Chain(ReadOnlyArrays):
-    """Links of an object: the geometry of its hinges, which methods know, and never their friction.
+    """Links of an object and the geometry of its hinges, which methods know; the friction of the hinges is hidden.
 
-    The object's layout is the chain as it lies before a trial.
+    The layout of the object is that of the chain before a trial.
     """
 
     link: Int[np.ndarray, "n_m"]
@@ -49,7 +49,7 @@ class Chain(ReadOnlyArrays):
         return list(range(hinge + 1, self.links)) if held <= hinge else list(range(hinge, -1, -1))
 
     def outward(self, held: int) -> Iterator[tuple[int, int, int]]:
-        """Every other link than the one held, the one nearer the hand that carries it, and the hinge between them."""
+        """Links other than the held one, each with its neighbor toward the hand and the hinge between them."""
         for step in (1, -1):
             for link in range(held + step, self.links if step > 0 else -1, step):
                 yield link, link - step, min(link, link - step)
@@ -62,7 +62,7 @@ class Chain(ReadOnlyArrays):
         acceleration: Float[np.ndarray, "3"],
         turned: Float[np.ndarray, "S L 3"],
     ) -> Float[np.ndarray, "S L 9"]:
-        """Motion of every link about the point where the hand holds one, in the axes of that one.
+        """Motion of every link relative to the grasp point, in the axes of the held link.
 
         A particle at p in the object frame is at R(angle) (p - point) + shift from the point; its velocity there is
         (u, v) + rate x place, and its acceleration (a, b) + slope x place - rate^2 place.
@@ -72,7 +72,8 @@ class Chain(ReadOnlyArrays):
             point: grasp point [m], object frame.
             twist: velocity of that point and turn rate of that link [m/s, rad/s], over S parts of a window.
             acceleration: its acceleration [m/s^2, rad/s^2].
-            turned: angle of each link against the one held [rad], and its own rate [rad/s] and slope [rad/s^2].
+            turned: angle of each link relative to the held one [rad], and its own angular velocity [rad/s] and
+                acceleration [rad/s^2].
 
         Returns:
             (angle, shift x, y; u, v, rate; a, b, slope) [rad, m; m/s, rad/s; m/s^2, rad/s^2].
@@ -107,7 +108,7 @@ def checked_torques(name: str, torques: Iterable[float], chain: Chain | None) ->
 
 
 def velocities(own: Float[np.ndarray, "S P 9"], offsets: Float[np.ndarray, "... P 2"]) -> Float[np.ndarray, "S P 2"]:
-    """Velocities of particles [m/s] whose links move so, at `offsets` from the grasp point as the chain lies [m]."""
+    """Velocities of particles [m/s] by the motions `own` of their links, at `offsets` from the grasp point [m]."""
     place = _turn(own[..., 0], offsets) + own[..., 1:3]
     return own[..., 3:5] + own[..., 5:6] * perpendicular(place)
 

@@ -6,7 +6,7 @@ GROUP_COLORS = (
     "#0072B2", "#E69F00", "#661166", "#56B4E9", "#AA2200", "#99FF00",
     "#FFCCCC", "#4400BB", "#D55E00", "#665566", "#BB33FF", "#009E73",
 )  # fmt: skip
-"""Colors of the first twelve groups; after them they come again."""
+"""Colors of the first twelve groups; further groups repeat them."""
 
 
 def group_color(group: int) -> str:

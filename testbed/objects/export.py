@@ -40,7 +40,7 @@ class Exported:
     hinge_friction: tuple[float, ...] = ()
     """Torque of Coulomb friction of each hinge of the chain [N m]; zeros if left out."""
     hinge_deviation: tuple[float, ...] | None = None
-    """Standard deviation of each of them [N m]; None if the method gives none."""
+    """Standard deviation of each torque [N m]; None if the method gives none."""
 
     def __post_init__(self) -> None:
         torques = checked_torques("Exported.hinge_friction", self.hinge_friction, self.shape.chain)
@@ -56,7 +56,7 @@ class Exported:
 
     @property
     def links(self) -> list[Link]:
-        """Links of the chain in order; of a rigid object one.
+        """Links of the chain in order; a rigid object has one.
 
         Raises:
             InvalidValueError: a link without mass.
@@ -65,7 +65,7 @@ class Exported:
 
     @property
     def has_hinges(self) -> bool:
-        """True of an object in links."""
+        """True for an object of several links."""
         return self.shape.chain is not None
 
     @property
@@ -77,7 +77,7 @@ class Exported:
 
     @property
     def comment(self) -> str:
-        """Notes, and every mass and hinge's friction with its standard deviation."""
+        """Notes, masses and torques of hinges with their standard deviations, and frictions on the table."""
         mass = self.distribution.group_mass(self.shape)
         deviation = self.group_deviation or [None] * len(mass)
         lines = [*self.notes, "masses, kg, with one standard deviation:"]
@@ -90,8 +90,9 @@ class Exported:
         return re.sub("-(?=-)", "- ", "\n".join(lines))  # no "--" within a comment of XML
 
 
-_STOPS = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5 2"}
-"""Friction of a hinge in MuJoCo that stops it within a step, however long: by default it creeps below 0.1 rad/s."""
+_HINGE_SOLVER = {"solreffriction": "0.0001 1", "solimpfriction": "0.999 0.999 0.001 0.5 2"}
+"""Solver parameters of hinge friction in MuJoCo that stop a hinge within one step; by default it creeps at up to
+0.1 rad/s."""
 
 
 PAD_PLATE, PAD_FOOT, PAD_RADIUS, PAD_GAP = 1.5, 3.0, 2.0, 0.5
@@ -103,12 +104,12 @@ _LIGHT = {"name": "light", "pos": "0.3 -0.3 1", "dir": "-0.3 0.3 -1"}
 
 
 def to_mjcf(exported: Exported, *, inertial: bool = False, scene: bool = False) -> str:
-    """A free body of boxes, as MJCF: the text of the file. Each further link is a body on a hinge of the one before.
+    """Text of an MJCF file: a free body of boxes. Each further link is a body on a hinge of the one before.
 
     Args:
-        exported: the answer.
+        exported: the estimate.
         inertial: one inertial for each link, and boxes without mass; else every box has its own.
-        scene: a floor, on which the object rests, and a light too.
+        scene: True to add a floor, on which the object rests, and a light.
 
     Raises:
         InvalidValueError: a link without mass.
@@ -126,27 +127,27 @@ def to_mjcf(exported: Exported, *, inertial: bool = False, scene: bool = False) 
         else:
             body = SubElement(body, "body", name=link.name, pos=_row(link.origin - origin))
             turns = {"name": link.hinge, "type": "hinge", "axis": "0 0 1"}
-            SubElement(body, "joint", turns | _STOPS, frictionloss=_row([link.hinge_friction]))
+            SubElement(body, "joint", turns | _HINGE_SOLVER, frictionloss=_row([link.hinge_friction]))
         origin = link.origin
         if inertial:
             pos, mass, full = (_row(v) for v in (link.body.center, [link.body.mass], _six(link.body.inertia)))
             SubElement(body, "inertial", pos=pos, mass=mass, fullinertia=full)
         for box in link.boxes:
-            said = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
+            attributes = {"name": box.name, "type": "box", "pos": _row(box.center), "size": _row(box.size / 2)}
             if box.friction is not None:
                 # without priority MuJoCo takes the larger friction of two geoms: a floor's 1
-                said |= {"friction": _row([box.friction, 0.005, 0.0001]), "priority": "1"}
-            SubElement(body, "geom", said, mass=_row([0.0 if inertial else box.mass]))
+                attributes |= {"friction": _row([box.friction, 0.005, 0.0001]), "priority": "1"}
+            SubElement(body, "geom", attributes, mass=_row([0.0 if inertial else box.mass]))
     return _text(root)
 
 
 def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
-    """A link of boxes, as URDF, which has no friction on the table: that is in its comment.
+    """Text of a URDF file of boxes. URDF has no friction of surfaces: the file states it in its comment.
 
     Args:
-        exported: the answer.
-        inertial: one link with one inertial for the whole; else a link a box, fixed to a root without mass. An object
-            in links has one of each link in any case.
+        exported: the estimate.
+        inertial: one link with one inertial for the whole; else one link per box, fixed to a root without mass. An
+            object with hinges always has one link with one inertial for each of its own.
 
     Raises:
         InvalidValueError: a link without mass, or a block of the object's name, which would be a link of its own.
@@ -183,12 +184,12 @@ def to_urdf(exported: Exported, *, inertial: bool = False) -> str:
 
 
 def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
-    """A model of boxes with their friction, as SDFormat 1.9.
+    """Text of an SDFormat 1.9 file: a model of boxes with their friction.
 
     Args:
-        exported: the answer.
-        inertial: one link with one inertial for the whole; else a link a box, each fixed to the first. An object in
-            links has one of each link in any case.
+        exported: the estimate.
+        inertial: one link with one inertial for the whole; else one link per box, each fixed to the first. An object
+            with hinges always has one link with one inertial for each of its own.
 
     Raises:
         InvalidValueError: a link without mass.
@@ -212,10 +213,10 @@ def to_sdf(exported: Exported, *, inertial: bool = False) -> str:
 
 
 def written(exported: Exported, format_: str, *, inertial: bool = False, scene: bool = False) -> str:
-    """The text of a file of some format: mjcf, urdf, sdf or toml; a scene in MJCF alone.
+    """Text of a file in a format: mjcf, urdf, sdf or toml; a scene only as MJCF.
 
     Raises:
-        InvalidValueError: a format that cannot say it.
+        InvalidValueError: an option that the format does not have.
     """
     if scene and format_ != "mjcf":
         raise InvalidValueError("--scene", f"--format {format_}", "mjcf: a floor and a light of MuJoCo's")
@@ -229,10 +230,10 @@ def written(exported: Exported, format_: str, *, inertial: bool = False, scene: 
 
 
 def to_object_file(exported: Exported) -> str:
-    """An object file of heft, with what was estimated as its truth.
+    """Object file of heft with the estimated masses and frictions as its true ones.
 
     Raises:
-        InvalidValueError: the object is not of square blocks alike.
+        InvalidValueError: the object is not of equal square blocks.
     """
     shape, boxes = exported.shape, exported.boxes
     size = float(boxes[0].size[0])
@@ -274,11 +275,11 @@ def to_object_file(exported: Exported) -> str:
 
 
 def to_sidecar(exported: Exported) -> str:
-    """JSON of the estimate with its uncertainty; null if unobserved or not given."""
+    """JSON of the estimate with its uncertainties, null for unobserved and missing ones."""
     shape, whole = exported.shape, RigidBody.of(exported.boxes)
     count = shape.particles_per_group
     covariance = None if exported.covariance is None else exported.covariance * np.outer(count, count)
-    said = {
+    content = {
         "name": exported.name,
         "notes": list(exported.notes),
         "groups": list(shape.group_names),
@@ -291,18 +292,18 @@ def to_sidecar(exported: Exported) -> str:
         "inertia_about_center_kg_m2": whole.inertia.tolist(),
     }
     if shape.chain is not None:
-        said |= {
+        content |= {
             "link": shape.chain.link.tolist(),
             "hinge_at_m": shape.chain.hinges.tolist(),
             "hinge_friction_Nm": list(exported.hinge_friction),
             "hinge_friction_std_Nm": _finite(exported.hinge_deviation),
         }
-    return json.dumps(said, indent=1) + "\n"
+    return json.dumps(content, indent=1) + "\n"
 
 
 @dataclass(frozen=True)
 class Pad:
-    """Pad to be printed and glued under a mass group, so that it stands on feet of known places."""
+    """Pad to be printed and glued under a mass group, which then stands on feet of known places."""
 
     cells: tuple[tuple[float, float], ...]
     """Places of the group's cells from its middle, mm, seen from below: x to the left."""
@@ -328,9 +329,9 @@ class Pad:
         return Pad(tuple(below[0]), tuple(below[1]), shape.cell * 1e3)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Solid as it lies on a printer's bed, mm: a plate as the group's outline, and a round-tipped foot up at each.
+        """Solid as it lies on the bed of a printer, mm: a plate with its round-tipped feet up.
 
-        The plate is `PAD_GAP` smaller than the outline on each side.
+        The plate is `PAD_GAP` smaller than the outline of the group on each side.
         """
         cells, parts = np.array(self.cells), []
         for cell in cells:
@@ -349,7 +350,7 @@ class Pad:
 
 
 def _pieces(link: Link, single: bool) -> dict[str, list[Box]]:
-    """The link as one piece, or a piece a box; one without mass, as a point of contact, joins the first with some."""
+    """Boxes of a link by piece: one piece, or one per box with mass; boxes without mass belong to the first."""
     if single:
         return {link.name: list(link.boxes)}
     pieces = {box.name: [box] for box in link.boxes if box.mass > 0}

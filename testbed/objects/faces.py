@@ -44,9 +44,9 @@ class Face(NamedTuple):
 
 
 def faces(shape: ObjectShape) -> list[Face]:
-    """Sides of the outline; of cells those with no cell beyond, joined where they go on straight in a mass group."""
+    """Sides of the outline; without `shape.sides` the free sides of cells, those in line of a mass group merged."""
     if not len(shape.sides):
-        return _of_cells(shape)
+        return _faces_of_cells(shape)
     begin, end = shape.sides.swapaxes(0, 1)
     along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True)
     near = cdist((begin + end) / 2, shape.particles).argmin(axis=1)
@@ -55,7 +55,7 @@ def faces(shape: ObjectShape) -> list[Face]:
     ]
 
 
-def _of_cells(shape: ObjectShape) -> list[Face]:
+def _faces_of_cells(shape: ObjectShape) -> list[Face]:
     half, cells = shape.cell / 2, shape.particles[shape.cells]
     rows: dict[tuple[int, int, int], list[tuple[float, float]]] = defaultdict(list)
     for way, step in enumerate(_STEP):
@@ -81,7 +81,7 @@ def _of_cells(shape: ObjectShape) -> list[Face]:
 
 
 def face_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> tuple[Face, float]:
-    """The face nearest to a point, and its distance [m]."""
+    """Face nearest to a point, and its distance [m]."""
     every = faces(shape)
     away = [face.distance(np.asarray(point)) for face in every]
     nearest = int(np.argmin(away))
@@ -89,7 +89,7 @@ def face_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> tuple[Face, fl
 
 
 def room_at(shape: ObjectShape, point: Float[np.ndarray, "2"]) -> float:
-    """Distance from a point to the outline [m], negative within it."""
+    """Distance from a point to the outline [m], negative inside it."""
     every = faces(shape)
     ends = np.array([[face.begin, face.end] for face in every]) - point
     crosses = (ends[:, 0, 1] > 0) != (ends[:, 1, 1] > 0)

@@ -33,7 +33,7 @@ def asset_folder(kind: str) -> Path:
     raise FileNotFoundError(f"heft's assets/{kind} is neither in {package} nor beside it: reinstall heft")
 
 
-_PLACE_KG = 0.1
+_PLACEHOLDER_KG = 0.1
 """Placeholder of a mass that is not given [kg]."""
 NEAR, NEAR_CELLS = 0.01, 1.5
 """Greatest distance of a hinge from the nearest particle of a link that it joins [m], or so many cells if more."""
@@ -46,7 +46,7 @@ class _Table(BaseModel):
 
 
 DENSEST = 2e5
-"""Density of a block above which its mass is taken for grams, nine times that of osmium [kg/m^3]. Ours."""
+"""Density of a block above which its mass is refused as one in grams, nine times that of osmium [kg/m^3]. Ours."""
 
 
 class Blocks(_Table):
@@ -71,7 +71,7 @@ class Blocks(_Table):
 
 
 class HingeTable(_Table):
-    """A [[hinges]] table of an object file: it joins the link before, or the rest of the object, to `link`."""
+    """A [[hinges]] table of an object file: the hinge between `link` and the link before, or the rest of the object."""
 
     at_m: Annotated[list[Finite], Field(min_length=2, max_length=2)]
     link: Annotated[list[Name], Field(min_length=1)]
@@ -117,8 +117,8 @@ class FeetTable(_Table):
         """Feet of each mass group [m], object frame.
 
         Args:
-            model: the object on its cells.
-            origin: place of a mesh's origin of the object in the mesh's own frame [m]; None of blocks.
+            model: the object in contact at its cells.
+            origin: origin of the object in the frame of its mesh [m]; None for blocks.
         """
         shape, found = model.shape, []
         names = set(shape.group_names)
@@ -187,7 +187,7 @@ class ObjectFile(_Table):
         return self
 
     def build(self, grid: int, folder: Path, hand: Hand = ROBOTIQ_2F85) -> ObjectModel:
-        """The object, `grid` particles along a block's side; meshes are files of `folder`."""
+        """Object of this file, with `grid` particles along a block's side; mesh files are in `folder`."""
         if self.blocks:
             model = _build_blocks(self.name, self.blocks, grid, hand)
             model = replace(model, shape=replace(model.shape, chain=self._chain(model.shape.group_names)))
@@ -210,7 +210,7 @@ class ObjectFile(_Table):
         return self.mesh.parts[0].mass_kg is not None
 
     def _chain(self, names: tuple[str, ...]) -> Chain | None:
-        """The links, the first of which has every block or part that no hinge names; None of a rigid object."""
+        """Chain of links, the first of all blocks or parts that no hinge names; None for a rigid object."""
         if not self.hinges:
             return None
         link = np.zeros(len(names), dtype=int)
@@ -229,7 +229,7 @@ class ObjectFile(_Table):
         return Chain(link, np.array([hinge.at_m for hinge in self.hinges]))
 
     def _check_joined(self, shape: ObjectShape, chain: Chain) -> None:
-        """Refuse hinges beside a link that they join, and links that do not rest on feet of their own."""
+        """Refuse hinges away from a link that they join, and links that do not touch the table."""
         if not shape.stands_in_groups:
             allowed = "parts that touch the table, on their cells: links rest on their own weight"
             feet = shape.mass_group[(shape.friction_group >= 0) & ~(shape.is_contact & ~shape.stands_on_feet)]
@@ -245,7 +245,7 @@ class ObjectFile(_Table):
                     raise InvalidValueError(f"hinges.{index}.at_m", self.hinges[index].at_m, allowed)
 
     def _check_names(self, model: ObjectModel) -> None:
-        """Refuse a name that a simulator would have twice."""
+        """Refuse names that an exported model would have twice."""
         links = [f"link_{index}" for index in range(len(self.hinges) + 1)] if self.hinges else []
         boxes = Counter(box.name for box in boxes_of(model.shape, model.truth))
         twice = {name for name in boxes if boxes[name] > 1} | ({self.name, *model.shape.group_names} & set(links))
@@ -265,7 +265,7 @@ class ObjectFile(_Table):
         for index, (part, group) in enumerate(zip(m.parts, groups, strict=True)):
             assert group is not None
             try:
-                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg or _PLACE_KG, group))
+                parts.append(Part(part.name, read_mesh(folder / part.file), part.mass_kg or _PLACEHOLDER_KG, group))
             except InvalidValueError as error:
                 raise InvalidValueError(f"mesh.parts.{index}.{error.field}", error.given, error.allowed) from None
         places = [GraspPlace(g.name, (g.at_m[0], g.at_m[1]), math.radians(g.closing_deg)) for g in m.grasps]
@@ -289,7 +289,7 @@ def _build_blocks(name: str, b: Blocks, grid: int, hand: Hand) -> ObjectModel:
     if groups is None or len(groups) != len(cells) or set(groups) - {-1} != set(range(len(friction))):
         allowed = f"{len(cells)} integers, one per block, that use every friction from 0 to {len(friction) - 1}, or -1"
         raise InvalidValueError("blocks.friction_group", groups, allowed)
-    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg or _PLACE_KG] * len(cells)
+    mass: list[float] = list(b.mass_kg) if isinstance(b.mass_kg, list) else [b.mass_kg or _PLACEHOLDER_KG] * len(cells)
     if len(mass) != len(cells) or sum(mass) <= 0:
         allowed = f"{len(cells)} numbers >= 0, one per block, bottom row first, left to right, with a sum > 0"
         raise InvalidValueError("blocks.mass_kg", mass, allowed)
@@ -315,14 +315,14 @@ def _friction_list(field: str, friction: float | list[float]) -> list[float]:
 def load_object(
     name_or_path: str | Path, grid: int = 3, *, measured: bool = False, hand: Hand = ROBOTIQ_2F85
 ) -> ObjectModel:
-    """An object of the library by name, or of a TOML file by path.
+    """Object of the library by name, or of a TOML file by path.
 
     Args:
         name_or_path: "L2", or "my/object.toml".
         grid: particles along a block's side. A mesh's cells have a side of cell_m * 3 / grid: the default keeps the
             file's, a larger grid cuts finer.
-        measured: take a file without masses too: only trials that are measured can do without.
-        hand: the gripper, which takes rows of blocks as far as it opens.
+        measured: accept a file without masses too, for trials of a real robot.
+        hand: the gripper, whose opening limits the rows of blocks that it grasps.
 
     Raises:
         InvalidValueError: no such object, or values out of range.
@@ -341,9 +341,9 @@ def load_object(
         raise InvalidValueError(error.field, error.given, error.allowed, file=path) from None
 
 
-@lru_cache(maxsize=64, typed=True)  # True is no 1
+@lru_cache(maxsize=64, typed=True)  # True and 1 differ
 def _built(content: str, grid: int, folder: Path, stamps: tuple[int, ...], hand: Hand) -> ObjectModel:
-    """An object from its file's content, and the times of its meshes' files: cells of a mesh take long to cut."""
+    """Object of a file's content, cached since a mesh takes long; `stamps` are the times of the mesh files."""
     return ObjectFile.model_validate_json(content).build(grid, folder, hand)
 
 

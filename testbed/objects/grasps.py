@@ -1,4 +1,4 @@
-"""Grasps of a mesh by a parallel gripper: what its pads find at a place."""
+"""Grasps of a mesh by a parallel gripper: the faces that its pads hold at a place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from testbed.objects.model import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, SPARE_OPE
 from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
 
 _PATCH = 0.001
-"""Distance of the rays that find a grasp's faces [m]."""
+"""Distance between the rays that measure the gripped faces [m]."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class GraspPlace:
 
 
 def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
-    """The grasp that the pads find, in the mesh's x and y.
+    """Grasp at a place, in the mesh's x and y.
 
-    Flat pads rest on what stands out most, and touch what is within `TOUCH` of it.
+    Flat pads rest on the outermost points of the two faces, and touch all points within `TOUCH` of them.
 
     Args:
         mesh: the whole object on the table z = 0.
-        place: where to take it.
-        field: of the errors.
+        place: point and closing direction of the pads.
+        field: name of the place in errors.
 
     Raises:
         InvalidValueError: nothing to hold, or no room for the fingers.
@@ -49,10 +49,10 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
         raise InvalidValueError(field, given, f"one above the pads' lower edge, {PAD_HEIGHT[0] * 1e3:g} mm")
     across = _PATCH * OFF_CENTER
     corner = np.array([*place.at, 0.0]) + (along[0] + across[0]) * side + [0.0, 0.0, up[0] + across[1]]
-    # side x up points along the closing direction
+    # side x up is the closing direction
     grid = RayGrid(corner, _PATCH * side, np.array([0.0, 0.0, _PATCH]), (len(along), len(up)))
     hits, ray, out = grid_hits(mesh, grid)
-    faces = _held(hits, ray, out, len(along) * len(up)).reshape(len(along), len(up), 4)
+    faces = _gripped_material(hits, ray, out, len(along) * len(up)).reshape(len(along), len(up), 4)
     middle = faces[len(along) // 2]
     if np.isnan(faces[:, :, 0]).all() or np.isnan(middle[:, 0]).all():
         (x0, y0), (x1, y1) = mesh.bounds[:, :2]
@@ -86,14 +86,16 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
         length=float(rows[-1] - rows[0] + _PATCH),
         bottom=float(columns[0] - _PATCH / 2),
         top=float(columns[-1] + _PATCH / 2),
-        opening=None if free >= STROKE else float(free + needed) / 2,  # as far from it within and without
+        opening=None
+        if free >= STROKE
+        else float(free + needed) / 2,  # midway between the least opening and the obstacle
     )
 
 
-def _held(
+def _gripped_material(
     hits: Float[np.ndarray, "H"], ray: Int[np.ndarray, "H"], out: Int[np.ndarray, "H"], rays: int
 ) -> Float[np.ndarray, "rays 4"]:
-    """The stretch of material about 0 on each ray: its ends, and where material ends before it and begins after it.
+    """Ends of the material about 0 on each ray, then the end of that before it and the begin of that after it [m].
 
     NaN without material at 0. Bodies that overlap or touch count as one, and a slot too narrow for a finger as filled.
     """

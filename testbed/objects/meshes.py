@@ -22,7 +22,7 @@ from testbed.objects.model import TOUCH, MassDistribution, ObjectModel, ObjectSh
 from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
 from testbed.validation import check_integer
 
-logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it reads badly is said once, by heft
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # heft reports its errors
 FORMATS = ("stl", "obj", "ply", "off")
 """Formats of a mesh: single files that hold a surface and nothing else."""
 MOST_FACES = 100_000
@@ -34,7 +34,7 @@ LARGEST = 10.0
 TIP_REACH = 0.016
 """Height over the table below which an upright fingertip meets an object [m]."""
 _GAP, _FINE = 3e-4, 1e-4
-"""Widest gap between parts that an outline closes, and how far it may be off in being simpler [m]."""
+"""Widest gap between parts that an outline closes, and greatest error of its simplification [m]."""
 _RAYS = 7
 """Rays along a cell's side."""
 _MOST_CELLS = 5000
@@ -90,7 +90,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def check_triangles(mesh: trimesh.Trimesh) -> None:
-    """Raise ValueError for triangles of vertices that are not there, or are nowhere."""
+    """Raise ValueError for triangles of vertices that do not exist or are not finite."""
     faces = np.asarray(mesh.faces)
     if faces.shape[1:] != (3,) or mesh.vertices.shape[1:] != (3,):
         raise ValueError(f"corners of {mesh.vertices.shape[-1]} coordinates, faces of {faces.shape[-1]} corners")
@@ -113,27 +113,27 @@ def mesh_object(
 ) -> ObjectModel:
     """An object of meshes as particles, solids and grasps.
 
-    A cell is a particle where the parts fill half of it or more, of the part with most material in it; a part that is
-    too thin for that has the cells that it fills best. A cell touches where its part's underside is within `TOUCH` of
-    the table over half of it or more. With `contacts` no cell touches: a particle without material lies at each, and
-    the cells of each part are moved by what its center of mass is off. Links have cells of their own: where one lies
-    over another, both have one.
+    A cell is a particle if the parts cover half of it or more; it belongs to the part with most material in it. A part
+    too thin for that has the cells that it covers best. A cell touches if the underside of its part is within `TOUCH`
+    of the table over half of it or more. With `contacts` no cell touches: a particle without material lies at each,
+    and the cells of each part are shifted until they have its center of mass. Every link has cells of its own, also
+    where two links overlap.
 
     Args:
         name: the object's name.
         parts: its mass groups.
-        places: where a gripper may take it.
+        places: grasps of a gripper.
         friction: friction coefficient of each friction group.
         cell: side of a particle's cell at the default grid, m.
-        grid: how fine: the cell's side is cell * 3 / grid. The origin stays that of the default grid, the mean of its
-            cells, so that one object cut twice has one frame.
+        grid: fineness: the cell's side is cell * 3 / grid. The origin is the mean of the cells of the default grid, so
+            that an object has the same frame at every grid.
         contacts: points on which one rigid body rests, x and y of the mesh, m; empty where it rests on cells.
         chain: links of the parts, with hinges in x and y of the mesh; None of a rigid object.
 
     Raises:
         InvalidValueError: grid < 1, too many cells, not resting on the table, a part without a particle, a friction
-            group without a foot, a contact beside the object, a grasp where there is nothing to hold or no room for
-            the fingers.
+            group without a foot, a contact beside the object, a grasp without opposite faces or without room for the
+            fingers.
     """
     check_integer("grid", grid, most=1000)
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
@@ -143,14 +143,14 @@ def mesh_object(
         )
     link = np.zeros(len(parts), dtype=int) if chain is None else chain.link
     centers, group, touches, fill = cells = _partition(parts, link, cell * 3 / grid)
-    of_default = cells if grid == 3 else _partition(parts, link, cell)
-    origin = of_default[0].mean(axis=0)
+    default_cells = cells if grid == 3 else _partition(parts, link, cell)
+    origin = default_cells[0].mean(axis=0)
     if len(contacts):
         points = _checked_contacts(contacts, parts)
-        near = group[cdist(points, centers).argmin(axis=1)]
-        # no foot stands under a cell: it need not be one of the grid's
-        centers, origin = _centered(parts, cells), _centered(parts, of_default).mean(axis=0)
-        centers, group = np.vstack([centers, points]), np.append(group, near)
+        nearest = group[cdist(points, centers).argmin(axis=1)]
+        # no foot is under a cell: cells may leave the grid
+        centers, origin = _centered(parts, cells), _centered(parts, default_cells).mean(axis=0)
+        centers, group = np.vstack([centers, points]), np.append(group, nearest)
         touches = np.append(np.zeros(len(touches), dtype=bool), np.ones(len(points), dtype=bool))
         fill = np.append(fill, np.zeros(len(points)))
     per_group = np.bincount(group, minlength=len(parts))
@@ -181,27 +181,27 @@ def mesh_object(
 
 
 def manifold(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Manifold | None:
-    """A closed body, or None where an edge has more sides one way than the other."""
+    """Closed body of triangles; None if an edge has unequal numbers of triangles in its two directions."""
     made = Manifold(Mesh64(np.array(vertices, dtype=float, order="C"), np.array(faces, dtype=np.uint64, order="C")))
     return made if made.status() == Error.NoError and not made.is_empty() else None
 
 
 def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Several surfaces as one, no vertex of two of them merged."""
+    """Several surfaces as one, without merging their vertices."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return trimesh.Trimesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces), process=False)
 
 
 def _sides(meshes: Sequence[trimesh.Trimesh]) -> Float[np.ndarray, "K 2 2"]:
-    """Sides of the outline below `TIP_REACH`, seen from above; none of a surface that meets itself."""
-    seen = []
+    """Sides of the outline below `TIP_REACH`, projected on the table; empty for a self-intersecting surface."""
+    projections = []
     for mesh in meshes:
         body = manifold(mesh.vertices, mesh.faces)
         if body is None:
             return np.ones((0, 2, 2))
-        seen.append(body.trim_by_plane((0, 0, -1), -TIP_REACH).project())
-    outline = sum(seen[1:], seen[0])
+        projections.append(body.trim_by_plane((0, 0, -1), -TIP_REACH).project())
+    outline = sum(projections[1:], projections[0])
     for offset in (_GAP, -_GAP):
         outline = outline.offset(offset, JoinType.Round)
     loops = [np.asarray(loop) for loop in outline.simplify(_FINE).to_polygons()]
@@ -220,18 +220,18 @@ def _checked_contacts(contacts: Sequence[tuple[float, float]], parts: list[Part]
 
 
 Cells = tuple[Float[np.ndarray, "P 2"], Int[np.ndarray, "P"], Bool[np.ndarray, "P"], Float[np.ndarray, "P"]]
-"""Centers of particles in the mesh's x and y, the part of each, whether it touches, and how much of the part it is."""
+"""Centers of particles in the mesh's x and y [m], the part of each, True for contact, and its share of the part."""
 
 
 def _centered(parts: list[Part], cells: Cells) -> Float[np.ndarray, "n 2"]:
-    """Places of cells, those of each part moved until they have its center of mass, m."""
+    """Centers of cells, those of each part shifted to its center of mass [m]."""
     centers, group, _, fill = cells
-    moved = [part.mesh.center_mass[:2] - fill[group == g] @ centers[group == g] for g, part in enumerate(parts)]
-    return centers + np.array(moved)[group]
+    shifts = [part.mesh.center_mass[:2] - fill[group == g] @ centers[group == g] for g, part in enumerate(parts)]
+    return centers + np.array(shifts)[group]
 
 
 def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> Cells:
-    """Particles of all parts, on one grid, those of each link for themselves."""
+    """Particles of all parts on one grid, computed for each link separately."""
     low = np.min([part.mesh.bounds[0, :2] for part in parts], axis=0)
     high = np.max([part.mesh.bounds[1, :2] for part in parts], axis=0)
     found = []
@@ -246,7 +246,7 @@ def _partition(parts: list[Part], link: Int[np.ndarray, "n_m"], cell: float) -> 
 def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Cells:
     """Particles of parts that do not move against each other, on a grid between two corners.
 
-    What a part has in cells that are not its own is counted to the nearest that is.
+    Material of a part in a cell of another part is added to its own nearest cell.
     """
     count = np.ceil((high - low) / cell - 1e-3).astype(int)  # a length of whole cells needs no cell more
     if count.prod() > _MOST_CELLS:
@@ -268,7 +268,7 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         each.reshape(len(parts), count[0], _RAYS, count[1], _RAYS).swapaxes(2, 3).reshape(len(parts), len(centers), -1)
         for each in (material, underside)
     )
-    material = np.maximum(material, 0.0)  # of a surface that meets itself a ray may find less than nothing
+    material = np.maximum(material, 0.0)  # negative for some rays through a self-intersecting surface
     covered = (material > 0).any(axis=0).mean(axis=1)
     columns = material.sum(axis=2)
     owner = columns.argmax(axis=0)
@@ -278,7 +278,9 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         if not held.any():
             allowed = f"a part that is wider than the rays' distance, {step * 1e3:.2g} mm, or a smaller cell_m"
             raise InvalidValueError(f"mesh.parts.{index}", f"{parts[index].name} without a particle", allowed)
-        if not (owner == index)[held > 0].any():  # within another part's cells: it has the one where it has most
+        if not (owner == index)[
+            held > 0
+        ].any():  # within cells of another part: assign the one with most of its material
             spare = np.bincount(owner[held > 0], minlength=len(parts))[owner] > 1
             owner[np.where(spare, held, 0).argmax()] = index
         own = (owner == index) & (held > 0)

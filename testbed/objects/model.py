@@ -33,7 +33,7 @@ FINGER_DEPTH = 0.008
 TOUCH = 0.001
 """Distance within which a surface touches the table, and a soft pad a face [m]."""
 SPARE_OPENING = 0.005
-"""Opening that a gripper needs beyond the width of what it takes [m]."""
+"""Opening that a gripper needs beyond the width of a grasp [m]."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class ObjectShape(ReadOnlyArrays):
     group_names: tuple[str, ...] = ()
     """Names of the mass groups; "m0", "m1", ... if left out."""
     fill: Float[np.ndarray, "P"] = field(default_factory=lambda: np.ones(0))
-    """Material in each cell over the mean of its group's: 1 of a block's cells, and everywhere if left out."""
+    """Material in each cell over the mean of its group; 1 for the cells of blocks, and if left out."""
     chain: Chain | None = None
     """Links of an articulated object; None of a rigid one."""
     sides: Float[np.ndarray, "K 2 2"] = field(default_factory=lambda: np.ones((0, 2, 2)))
@@ -235,7 +235,7 @@ class ObjectShape(ReadOnlyArrays):
         return int(self.mass_group[one]), int(self.mass_group[other])
 
     def per_group(self, of_particles: Float[np.ndarray, "... P"]) -> Float[np.ndarray, "... n_m"]:
-        """Sum over each group's particles, each as far as it is filled: what a mass of 1 per particle makes of it."""
+        """Sum over the particles of each group, weighted by `fill`: the effect of a mean particle mass of 1."""
         return (of_particles * self.fill) @ np.eye(self.n_m)[self.mass_group]
 
 
@@ -247,7 +247,7 @@ def check_shape(shape: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class MassDistribution(ReadOnlyArrays):
-    """Mass and friction of every group: the truth, or an answer."""
+    """Mass and friction of every group: the truth, or an estimate."""
 
     mass: Float[np.ndarray, "n_m"]
     """Mean mass of one particle of each mass group [kg], shape (n_m,)."""
@@ -326,7 +326,7 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel(ReadOnlyArrays):
-    """A shape together with its true mass distribution: what a simulation needs and an estimator never sees."""
+    """Shape together with its true mass distribution, for simulations; estimators have no access to the latter."""
 
     name: str
     """Name in files and tables."""
@@ -335,9 +335,9 @@ class ObjectModel(ReadOnlyArrays):
     truth: MassDistribution = field(repr=False)
     """Unknown part: masses and frictions."""
     solids: tuple[Solid, ...] = field(default=(), repr=False)
-    """The body of each mass group, where it is known better than by its particles, as for a mesh; else empty."""
+    """Body of each mass group of a mesh, more exact than its particles; empty for blocks."""
     masses_known: bool = True
-    """False if no masses are given: those of `truth` hold places, and no answer is held against them."""
+    """False if no masses are given: those of `truth` are placeholders, and no estimate is compared with them."""
     hinge_friction: tuple[float, ...] = ()
     """Torque of Coulomb friction of each hinge of the chain [N m]; none if left out."""
 
@@ -416,7 +416,7 @@ class ObjectModel(ReadOnlyArrays):
     def inertia_cm(self) -> float:
         """Inertia I_cm of Eq. inertia [kg m^2], with the inertia m cell^2 / 6 of each solid cell added.
 
-        With solids, it is theirs.
+        With solids, it is their inertia.
         """
         if self.solids:
             center = self.center_of_mass
@@ -431,7 +431,7 @@ class ObjectModel(ReadOnlyArrays):
 
 
 def even_shares(lever: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
-    """Most even shares of a load over points at these levers from it; -1 where they cannot carry it."""
+    """Most even shares of a load over points at levers from it, (N,); all -1 if the points cannot carry it."""
     matrix, wanted = np.vstack([np.ones(len(lever)), lever.T]), np.array([1.0, 0.0, 0.0])
     share = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
     return share if np.allclose(matrix @ share, wanted, atol=1e-9) else np.full(len(lever), -1.0)

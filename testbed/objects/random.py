@@ -43,7 +43,7 @@ class Family(BaseModel):
         return [f"{self.name}_{index:0{digits}d}" for index in range(self.count)]
 
     def draw(self, index: int, attempt: int) -> ObjectFile:
-        """Object by its index; another `attempt` is another object, if the last one is not feasible."""
+        """Object by its index; another `attempt` draws another object, in place of one that is not feasible."""
         rng = np.random.default_rng([self.seed, index, attempt])
         cells = _grown(int(rng.integers(self.blocks[0], self.blocks[1] + 1)), rng)
         return ObjectFile(
@@ -60,7 +60,7 @@ class Family(BaseModel):
 
 
 def _grown(count: int, rng: np.random.Generator) -> set[Cell]:
-    """Blocks joined edge to edge, the next one on a free edge of those there, shifted to start at column and row 0."""
+    """Blocks joined edge to edge, each placed at random beside those before it; columns and rows start at 0."""
     cells = {Cell(0, 0)}
     while len(cells) < count:
         free = sorted({n for cell in cells for n in neighbors(cell)} - cells)

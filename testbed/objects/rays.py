@@ -1,4 +1,4 @@
-"""Parallel rays on a grid through a surface of triangles, as a picture of it is drawn: no ray slips between two."""
+"""Parallel rays on a grid through a surface of triangles, by rasterization: no ray passes between two triangles."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 from testbed.frames import cross_2d
 
 _PAIRS = 4_000_000
-"""Pairs of triangle and ray that are tested at once."""
+"""Greatest number of pairs of triangle and ray in one batch, about."""
 OFF_CENTER = np.array([0.00137, 0.00071])
-"""Shift of rays in steps of their grid: none then runs within a wall of a mesh that is symmetric about it."""
+"""Shift of the rays in steps of their grid, so that no ray lies in a wall of a mesh symmetric about the grid."""
 
 
 class RayGrid(NamedTuple):
@@ -34,7 +34,7 @@ def grid_hits(
 ) -> tuple[Float[np.ndarray, "H"], Int[np.ndarray, "H"], Int[np.ndarray, "H"]]:
     """Hits of the rays: height over the grid [m], index of the ray, and 1 out of the body or -1 into it.
 
-    The rays run along first x second, both ways without end. A ray through an edge meets one of its two triangles, by
+    The rays run along first x second and have no ends. A ray through an edge hits one of its two triangles, decided by
     the same arithmetic for both, so that it enters a closed surface as often as it leaves it.
     """
     sides = np.linalg.norm([grid.first, grid.second], axis=1)

@@ -24,7 +24,7 @@ from testbed.objects.model import ObjectModel
 from testbed.toml import toml_text
 
 CELLS = 150
-"""Cells into which an object is cut, about."""
+"""Approximate number of cells of an object."""
 CELL = (0.001, 0.01)
 """Least and greatest cell of an object whose grid has at most `MOST` cells [m]."""
 MOST = 3000
@@ -33,7 +33,7 @@ MOST = 3000
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """An object made of a mesh: everything but its masses."""
+    """Object made of a mesh, without masses."""
 
     name: str
     parts: tuple[trimesh.Trimesh, ...]
@@ -45,10 +45,10 @@ class Converted:
     cell: float
     """Side of a cell [m]."""
     notes: tuple[str, ...]
-    """Defects found and mended, in words."""
+    """Unit, repairs, pose, parts, points of contact and missing grasps, in words."""
 
     def model(self, masses: Sequence[float] = (), friction: float = 0.5) -> ObjectModel:
-        """The object with these masses, as `masses` takes them; without any, of one kilogram, marked as not given."""
+        """Object with masses as in `masses`; without any, it has one kilogram, marked as not given."""
         given = self.masses(masses or (1.0,))
         parts = [Part(name, mesh, mass, 0) for name, mesh, mass in zip(self.part_names, self.parts, given, strict=True)]
         contacts = [(x, y) for x, y in self.pose.contacts.tolist()]
@@ -92,7 +92,7 @@ def convert_mesh(
     most_grasps: int = 6,
     center_of_mass: Float[np.ndarray, "3"] | None = None,
 ) -> Converted:
-    """An object from a mesh file.
+    """Object from a mesh file.
 
     Args:
         path: STL, OBJ, PLY, OFF, GLB or 3MF.
@@ -100,9 +100,9 @@ def convert_mesh(
         unit: "m", "cm", "mm" or "in"; found if left out.
         parts: as `conversion.parts.cut` takes it, or a PLY file with labelled points.
         down: "auto" (the likeliest stable pose), an axis of the file ("x", "-z", ...), or the number of a stable pose.
-        cell: side of a cell, m; such that there are about `CELLS` if left out.
+        cell: side of a cell, m; if left out, one that gives about `CELLS` cells.
         most_grasps: grasps that are proposed, at most.
-        center_of_mass: center of mass, m, axes of the file, by which it comes to rest; of one density if left out.
+        center_of_mass: center of mass that decides the stable poses, m, axes of the file; of one density if left out.
 
     Raises:
         InvalidValueError: no mesh, no such pose or parts, or a cell too large for a part.
@@ -125,22 +125,22 @@ def convert_mesh(
     laid = surface.transformed(pose.matrix)
     whole = laid.whole
     pieces, how = cut(laid, parts)
-    shapes = tuple(as_mesh(piece) for piece in pieces)
+    meshes = tuple(as_mesh(piece) for piece in pieces)
     way = "planes" if how[0].isdigit() else how
-    alone = "" if len(pieces) > 1 else ": nothing of its mass is to be found, unless --parts 3 or 0.3,0.6 divides it"
-    notes.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}{alone}")
+    single = "" if len(pieces) > 1 else ": no mass distribution to estimate, unless --parts 3 or 0.3,0.6 divides it"
+    notes.append(f"{len(pieces)} part{'s' * (len(pieces) > 1)} by {way}{single}")
     notes.append(f"rests on {len(pose.contacts)} points")
     if cell is None:
         cell = float(np.clip(np.sqrt(whole.project().area() / CELLS), *CELL))
         low, high = np.reshape(whole.bounding_box(), (2, 3))
-        cell = max(cell, math.sqrt(np.prod(high[:2] - low[:2]) / MOST))  # a large object has larger ones
+        cell = max(cell, math.sqrt(np.prod(high[:2] - low[:2]) / MOST))  # larger cells for a large object
         cell = round(cell * 2000) / 2000 or CELL[0]
-    places, refused = propose_grasps(whole, joined(shapes), as_mesh(whole).center_mass[:2], most_grasps)
+    places, refused = propose_grasps(whole, joined(meshes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:
         notes.append(f"no grasp: {refused or 'no two faces across from each other'}")
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem
     clean = re.sub(r"[^\w.-]+", "_", name or stem)[:64] or "object"
-    return Converted(clean, shapes, pose, tuple(places), cell, tuple(notes))
+    return Converted(clean, meshes, pose, tuple(places), cell, tuple(notes))
 
 
 def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), friction: float = 0.5) -> Path:

@@ -24,19 +24,19 @@ WAYS = (
 LABELS = ("segmentation", "label", "labels", "class", "part")
 """Properties of a point that may be its label."""
 NEIGHBOURS = 5
-"""Points of a label whose mean distance counts."""
+"""Nearest points of a label whose mean distance is compared."""
 CLUSTERS = 3
 """Clusters where no number is given."""
 SLICES = 100
-"""Slices along the length in which the width is taken."""
+"""Slices along the length in which the width is measured."""
 ONE_LABEL = 0.9
-"""Part of a body's surface with one label from which the whole body has it."""
+"""Share of one label on the surface of a body above which the whole body has it."""
 
 
 def cut(surface: Surface, how: str) -> tuple[list[Manifold], str]:
-    """Parts of a surface that lies along x, from left to right, and in words how it was cut.
+    """Parts of a surface that lies along x, from left to right, and the name of the division.
 
-    Parts that overlap are separated: the smaller has what both hold.
+    Overlaps of parts belong to the smaller one.
 
     Args:
         surface: on the table, its longest side along x.
@@ -94,7 +94,7 @@ def labelled(surface: Surface, path: Path) -> Surface:
 
 
 def _clustered(surface: Surface, how: str) -> list[float]:
-    """Cuts of a surface into clusters of even width along its length: the least sum of squares, exactly."""
+    """Cuts into clusters of even width along the length, as parts of it: the global least sum of squares."""
     given = how.removeprefix("clusters").removeprefix(":") or str(CLUSTERS)
     if not (given.isdecimal() and 2 <= int(given) <= MOST_PARTS):
         raise InvalidValueError("parts", how, f"clusters, or clusters:2 to clusters:{MOST_PARTS}")
@@ -143,7 +143,7 @@ def _by_planes(whole: Manifold, shares: list[float]) -> list[Manifold]:
 
 
 def _apart(bodies: Sequence[Manifold]) -> list[Manifold]:
-    """Bodies, the largest first, without overlap: the smaller has what two hold."""
+    """Bodies, the largest first, without overlaps, which belong to the smaller one."""
     parts, taken = [], Manifold()
     for body in reversed(bodies):
         parts.append(body - taken)
@@ -152,7 +152,7 @@ def _apart(bodies: Sequence[Manifold]) -> list[Manifold]:
 
 
 def _by_labels(surface: Surface) -> list[Manifold]:
-    """The material of each label: bodies of one label whole, others divided by which label is nearer."""
+    """Material of each label: a body of one label as a whole, others divided by the nearest label."""
     of_label: dict[int, list[Manifold]] = {}
     for index, whole in enumerate(_apart(surface.bodies)):
         rest, own = whole, surface.of_body == index
@@ -169,7 +169,7 @@ def _by_labels(surface: Surface) -> list[Manifold]:
 
 
 def _region(body: Manifold, trees: list[KDTree]) -> Manifold:
-    """Region in which the points of the first tree are nearer than any others', as a body about another one."""
+    """Region around a body in which the points of the first tree are nearer than those of all others."""
     low, high = np.reshape(body.bounding_box(), (2, 3))
     step = float((high - low).max()) / NODES
     low, high = low - 2 * step, high + 2 * step
@@ -183,7 +183,7 @@ def _region(body: Manifold, trees: list[KDTree]) -> Manifold:
     a, b, c = (len(axis) - 2 for axis in axes)
 
     def nearer(x: float, y: float, z: float) -> float:
-        """Trilinear between nodes, by hand: it is asked a hundred thousand times, one point at a time."""
+        """Trilinear interpolation in plain Python, since it is called a hundred thousand times for one point each."""
         x, y, z = (x - x0) / step, (y - y0) / step, (z - z0) / step
         i, j, k = min(max(int(x), 0), a), min(max(int(y), 0), b), min(max(int(z), 0), c)
         x, y, z = x - i, y - j, z - k

@@ -20,9 +20,9 @@ AXES = {sign + name: k for k, name in enumerate("xyz") for sign in ("", "-")}
 RESTING = 1e-4
 """Height up to which a point of a hull's face touches the table [m]."""
 MOST_CONTACTS = 6
-"""Points of contact that are kept, at most."""
+"""Greatest number of points of contact."""
 LEAST_LOSS = 0.01
-"""Part of the polygon below which a point of contact is not missed."""
+"""Part of the polygon's area, or of the mean load, below which a point of contact is left out."""
 LEAST_PROBABILITY = 0.02
 """Probability below which a resting pose is not listed."""
 
@@ -32,9 +32,9 @@ class Pose:
     """A pose on the table: a convex hull's face lies on z = 0, the longest side along x."""
 
     matrix: Float[np.ndarray, "3 4"]
-    """Rotation and shift [m] from the mesh as it came."""
+    """Rotation and shift [m] from the frame of the mesh file."""
     probability: float
-    """Probability that a fall ends in it; NaN for a pose that was asked for."""
+    """Probability that a fall ends in it; NaN for a pose chosen by its axis."""
     contacts: Float[np.ndarray, "C 2"]
     """Points of contact [m], anticlockwise: three or more."""
 
@@ -76,11 +76,11 @@ def asked_pose(surface: Surface, down: str, center: Float[np.ndarray, "3"] | Non
     whole = as_mesh(surface.whole)
     hull, center = whole.convex_hull, whole.center_mass if center is None else center
     normal = hull.face_normals[(hull.face_normals @ axis).argmax()]
-    return _laid(surface, center, np.asarray(trimesh.geometry.align_vectors(normal, [0, 0, -1]))[:3, :3], np.nan)
+    return _placed(surface, center, np.asarray(trimesh.geometry.align_vectors(normal, [0, 0, -1]))[:3, :3], np.nan)
 
 
 def _distinct(surface: Surface, center: np.ndarray, matrices: np.ndarray, chances: np.ndarray) -> Iterator[Pose]:
-    """Poses whose undersides differ by more than 3 degrees: facets of a curve are one."""
+    """Poses whose down directions differ by more than 3 degrees: the facets of a curved side are one."""
     downs: list[np.ndarray] = []
     likely = np.argsort(-chances)
     for index in likely:
@@ -91,13 +91,13 @@ def _distinct(surface: Surface, center: np.ndarray, matrices: np.ndarray, chance
         if not any(same):
             downs.append(down)
             alike = [i for i in likely if matrices[i][2, :3] @ down > np.cos(np.radians(3))]
-            yield _laid(surface, center, matrices[index][:3, :3], float(chances[alike].sum()))
+            yield _placed(surface, center, matrices[index][:3, :3], float(chances[alike].sum()))
 
 
-def _laid(
+def _placed(
     surface: Surface, center: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "3 3"], probability: float
 ) -> Pose:
-    """The pose of this rotation, turned about z so that its longest side lies along x."""
+    """Pose of a rotation, turned about z until its longest side is along x."""
     points = as_mesh(surface.whole).convex_hull.vertices @ rotation.T
     box = trimesh.bounds.oriented_bounds_2D(points[:, :2])
     turn = np.eye(3)
@@ -114,7 +114,7 @@ def _laid(
 
 
 def contact_points(vertices: Float[np.ndarray, "V 3"], middle: Float[np.ndarray, "2"]) -> Float[np.ndarray, "C 2"]:
-    """Corners of the polygon on which a body stands on z = 0, m: `MOST_CONTACTS` at most, those that span most.
+    """Corners of the support polygon on z = 0 [m]: `MOST_CONTACTS` at most, those of the largest area.
 
     Corners that would lift off an even, soft table are left out.
 
@@ -142,7 +142,7 @@ def contact_points(vertices: Float[np.ndarray, "V 3"], middle: Float[np.ndarray,
 
 
 def _lost(corners: np.ndarray) -> np.ndarray:
-    """Area that a polygon loses with each corner."""
+    """Area that a polygon loses without each corner."""
     before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
     return np.abs(cross_2d(corners - before, after - before)) / 2
 

@@ -1,4 +1,4 @@
-"""Grasps proposed for a body on the table: faces across from each other, as the pads of the gripper would meet them."""
+"""Grasps proposed for a body on the table: pairs of opposite faces that fit between the pads of the gripper."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from testbed.objects.grasps import GraspPlace, grasp_at
 from testbed.objects.model import FINGER_DEPTH, LEAST_FACE, PAD_HEIGHT, SPARE_OPENING, STROKE
 
 SPACING = 0.004
-"""Distance of the outline's points from which grasps start [m]."""
+"""Distance between the points of an outline at which candidates begin [m]."""
 LEVELS = 7
 """Heights at which an outline is taken."""
 PARALLEL = np.cos(np.radians(12))
-"""Cosine of the angle up to which a face leans off the closing direction."""
+"""Cosine of the greatest angle between two gripped faces."""
 MOST_TRIED = 150
-"""Candidates that are tried."""
+"""Candidates that are tried, at most."""
 APART = 0.012
-"""Distance between two grasps that are proposed [m]."""
+"""Least distance between two proposed grasps [m]."""
 ALIKE = 0.006, np.pi / 9
-"""Sides of the squares [m] and of the angles [rad] of which one candidate is tried."""
+"""Widths of the bins in position [m] and angle [rad] of which one candidate is tried."""
 LEAST_LENGTH = 0.004
 """Least length of a gripped face [m]."""
 
@@ -32,7 +32,7 @@ LEAST_LENGTH = 0.004
 def propose_grasps(
     whole: Manifold, mesh: trimesh.Trimesh, middle: Float[np.ndarray, "2"], most: int
 ) -> tuple[list[GraspPlace], str]:
-    """Places where the gripper can take a body, spread over it, the first nearest its middle; and why none else.
+    """Grasps spread over a body, the first nearest its middle; and the reason why the last refused candidate failed.
 
     Args:
         whole: the body on the table z = 0.
@@ -43,7 +43,7 @@ def propose_grasps(
     if mesh.bounds[1, 2] < PAD_HEIGHT[0] + LEAST_FACE:
         given, least = mesh.bounds[1, 2] * 1e3, (PAD_HEIGHT[0] + LEAST_FACE) * 1e3
         return [], f"{given:.1f} mm high, and the pads need {least:g} mm: another side down, or no grasp"
-    pairs: dict[tuple[int, ...], tuple[np.ndarray, float]] = {}  # the most parallel of those that are alike
+    pairs: dict[tuple[int, ...], tuple[np.ndarray, float]] = {}  # the most parallel pair of each bin
     for center, angle, _ in sorted(_pairs(whole, mesh), key=lambda pair: pair[2]):
         pairs[*np.round(center / ALIKE[0]).astype(int).tolist(), round(angle / ALIKE[1])] = center, angle
     centers = np.array([center for center, _ in pairs.values()]).reshape(-1, 2)
@@ -77,7 +77,7 @@ def propose_grasps(
 
 
 def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray, float, float]]:
-    """Midpoints between two faces of an outline [m], the direction that closes on them [rad], and how parallel."""
+    """Midpoints between two faces of an outline [m], their closing direction [rad], and the cosine of their angle."""
     top = min(PAD_HEIGHT[1], float(mesh.bounds[1, 2]))
     for height in PAD_HEIGHT[0] + (top - PAD_HEIGHT[0]) * (np.arange(LEVELS) + 0.5) / LEVELS:
         loops = [np.asarray(loop) for loop in whole.slice(float(height)).to_polygons()]
@@ -104,7 +104,7 @@ def _pairs(whole: Manifold, mesh: trimesh.Trimesh) -> Iterator[tuple[np.ndarray,
             if not len(ahead[0]) or (reach[order] > -FINGER_DEPTH).sum() > 2 * len(ahead[0]) - 1:
                 continue
             gaps = reach[ahead[1]] - reach[ahead[0][: len(ahead[1])]]
-            last = int(np.append(gaps > FINGER_DEPTH, True).argmax())  # a finger fits into no slot before it
+            last = int(np.append(gaps > FINGER_DEPTH, True).argmax())  # no finger fits into the slots before it
             other = ahead[0][last]
             met[[*ahead[0][: last + 1], *ahead[1][:last]]] = False
             needed = (reach[other] + SPARE_OPENING) / 2 + FINGER_DEPTH

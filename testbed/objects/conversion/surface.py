@@ -1,4 +1,4 @@
-"""Surfaces as they come: their unit found, their bodies closed, their labels kept."""
+"""Surfaces of mesh files: their unit, closed bodies and labels."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FORMATS = ("stl", "obj", "ply", "off", "glb", "3mf")
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Length of each unit [m]."""
 LONGEST, SHORTEST = 2.0, 0.005
-"""Longest and shortest object that lies on the table [m]."""
+"""Greatest and least length of an object [m]."""
 SMALL = 0.005
 """Part of the volume below which loose bodies are left out, and of the surface below which a color is no part."""
 MOST_LOST = 0.05
 """Part of the surface, in pieces that enclose nothing, from which a mesh is refused. Ours."""
 FINENESS = 5e-5
-"""Distance within which a surface keeps its place while triangles are saved [m]."""
+"""Greatest deviation of a simplified surface [m]."""
 SAMPLE = 20_000
 """Points of a surface whose labels are kept."""
 _NAMES = {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "inch": "in", "meter": "m", "metre": "m"}
@@ -51,7 +51,7 @@ class Surface:
     of_body: Int[np.ndarray, "S"]
     """Body of each point; -1 of none."""
     notes: tuple[str, ...]
-    """Unit, and what was mended, in words."""
+    """Unit and repairs, in words."""
 
     @cached_property
     def whole(self) -> Manifold:
@@ -59,23 +59,23 @@ class Surface:
         return Manifold.batch_boolean(list(self.bodies), OpType.Add)
 
     def transformed(self, matrix: Float[np.ndarray, "3 4"]) -> Surface:
-        """The surface elsewhere: a rotation and a shift."""
+        """The surface after a rotation and a shift."""
         bodies = tuple(body.transform(matrix) for body in self.bodies)
         return replace(self, bodies=bodies, points=self.points @ matrix[:, :3].T + matrix[:, 3])
 
 
 def read_surface(path: Path, unit: str | None = None) -> Surface:
-    """Surface from a file, mended where it is open.
+    """Surface from a file, repaired where it is open.
 
     Args:
         path: STL, OBJ, PLY, OFF, GLB or 3MF.
-        unit: "m", "cm", "mm" or "in"; found if left out: said by the file, else from the size.
+        unit: "m", "cm", "mm" or "in"; if left out, as the file states, or else by the size.
 
     Raises:
         InvalidValueError: no mesh, too large, of no likely size, or so open that it encloses nothing.
     """
-    vertices, faces, labels, said = _load(path)
-    scale, notes = _unit(np.ptp(vertices, axis=0).max(), unit, said)
+    vertices, faces, labels, stated = _load(path)
+    scale, notes = _unit(np.ptp(vertices, axis=0).max(), unit, stated)
     vertices = vertices * scale
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, SAMPLE, seed=0)[:2]
@@ -97,7 +97,7 @@ def as_mesh(body: Manifold) -> trimesh.Trimesh:
 
 
 def _load(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, str | None]:
-    """Vertices in the file's unit, triangles, their labels, and the unit if the file says it."""
+    """Vertices in the file's unit, triangles, their labels, and the unit if the file states it."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in FORMATS:
         raise InvalidValueError("file", path.name, f"a mesh file: {', '.join(FORMATS)}")
@@ -117,12 +117,12 @@ def _unit_name(text: str | None) -> str | None:
     return next((unit for name, unit in _NAMES.items() if word and name.startswith(word)), text)
 
 
-def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str]:
-    """Length of the file's unit [m], and how it is known."""
+def _unit(length: float, unit: str | None, stated: str | None) -> tuple[float, str]:
+    """Length of the file's unit [m], and its source in words."""
     if unit is not None and unit not in UNITS:
         raise InvalidValueError("units", unit, ", ".join(UNITS))
-    if unit is None and said in UNITS and SHORTEST <= length * UNITS[said] <= LONGEST:
-        unit, why = said, "as the file says"
+    if unit is None and stated in UNITS and SHORTEST <= length * UNITS[stated] <= LONGEST:
+        unit, why = stated, "as the file says"
     elif unit is None:
         likely = [name for name in ("m", "mm") if 0.02 <= length * UNITS[name] <= LONGEST]
         if not likely:
@@ -140,11 +140,11 @@ def _unit(length: float, unit: str | None, said: str | None) -> tuple[float, str
 def _closed(
     vertices: np.ndarray, faces: np.ndarray, name: str
 ) -> tuple[list[Manifold], Int[np.ndarray, "F"], list[str]]:
-    """Closed bodies, the largest first, the body of each triangle (-1 of none), and what was mended."""
+    """Closed bodies, the largest first, the body of each triangle (-1 of none), and the repairs in words."""
     notes: list[str] = []
     merged, index = np.unique(np.round(vertices, 8), axis=0, return_inverse=True)
     shells: list[tuple[Manifold, np.ndarray]] = []
-    component, faces = _sewn(faces, index.ravel()), index.ravel()[faces]
+    component, faces = _stitched(faces, index.ravel()), index.ravel()[faces]
     area, enclosing = trimesh.triangles.area(merged[faces]), np.zeros(len(faces), dtype=bool)
     order = np.argsort(component, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
@@ -163,9 +163,9 @@ def _closed(
         raise InvalidValueError("file", given, f"at most {100 * MOST_LOST:g} %; close its pieces, or join their seams")
     volumes = np.array([body.volume() for body, _ in bodies])
     hull = Manifold.batch_hull([body for body, _ in bodies[: int((volumes >= SMALL * volumes.sum()).sum())]])
-    # a small body that stands out may be what the object rests on
+    # the object may rest on a small body that protrudes
     small = [
-        v < SMALL * volumes.sum() and _stands_out(body, hull) < TOUCH
+        v < SMALL * volumes.sum() and _protrusion(body, hull) < TOUCH
         for (body, _), v in zip(bodies, volumes, strict=True)
     ]
     if lost := sum(small):
@@ -179,8 +179,8 @@ def _closed(
     return [body.simplify(FINENESS) for body, _ in bodies], owner, counts
 
 
-def _sewn(faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, "V"]) -> Int[np.ndarray, "F"]:
-    """Connected piece of each triangle, pieces with open edges at the same place being one.
+def _stitched(faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, "V"]) -> Int[np.ndarray, "F"]:
+    """Connected piece of each triangle; pieces with open edges at the same place are one.
 
     Files split corners at hard edges and seams, or give every triangle its own. Closed bodies that touch stay apart.
 
@@ -200,15 +200,15 @@ def _sewn(faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, "V"]) -> Int[np.
     return connected_components(seams, directed=False)[1][piece[faces[:, 0]]]
 
 
-def _stands_out(body: Manifold, hull: Manifold) -> float:
-    """Distance by which a body leaves a convex one [m]."""
+def _protrusion(body: Manifold, hull: Manifold) -> float:
+    """Greatest distance of a body beyond a convex one [m]."""
     planes, corners = as_mesh(hull), as_mesh(body.hull()).vertices
     beyond = corners @ planes.face_normals.T - (planes.triangles[:, 0] * planes.face_normals).sum(axis=1)
     return float(beyond.max())
 
 
 def _shell(vertices: np.ndarray, faces: np.ndarray) -> tuple[Manifold | None, str]:
-    """A connected surface as a closed body, or None where it encloses nothing; and what was mended."""
+    """A connected surface as a closed body, or None if it encloses nothing; and the repairs in words."""
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3)
     a, b, c = faces.T
@@ -265,7 +265,7 @@ def _filled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _without_cavities(shells: list[tuple[Manifold, np.ndarray]], notes: list[str]) -> list[tuple[Manifold, np.ndarray]]:
-    """Bodies of shells: one that faces inwards is a cavity of the body that holds it, or else was inside out."""
+    """Bodies of shells: one that faces inwards is a cavity of the body around it, or else was inside out."""
     bodies = [(shell, part) for shell, part in shells if shell.volume() > 0]
     for shell, part in shells:
         if shell.volume() >= 0:

@@ -1,4 +1,4 @@
-"""Actions: what a trial does with the object, and the path of the tool that does it. A new action is listed here."""
+"""Actions: motions of the object in a trial, and the paths of the tool. A new action is listed here."""
 
 from testbed.actions import accelerate, lift, push, rotate, slide, weigh
 

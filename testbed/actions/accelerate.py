@@ -29,7 +29,7 @@ class Accelerate(TableAction, kind="accelerate"):
     hold: float = 0.6
     """Time at each acceleration [s]."""
     start_speed: float = 0.15
-    """Angular speed before the first [rad/s]; its sign is the direction of the turn, which never reverses."""
+    """Angular speed before the first acceleration [rad/s]; its sign is that of the whole turn, which never reverses."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,7 +1,7 @@
-"""Actions: motions of the object, not how the robot makes them. Angles in rad, SI units, object frame.
+"""Actions: motions of the object, independent of the robot. Angles in rad, SI units, object frame.
 
 A new action is a module with a subclass of `TableAction`, `Push` or `Action`, and its name in `testbed.actions`:
-simulation, robot, importers, planners and figures ask it for its path, its hand and its fingertip.
+simulation, robot, importers, planners and figures use its path, its hand and its fingertip.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from testbed.objects.model import ObjectShape
 from testbed.validation import check_integer, is_number
 
 _TURN, _LINE = math.radians(10), 0.025
-"""Distance between the knots of a turn's way [rad], and of a slide's [m]."""
+"""Greatest distance between the knots of a turn [rad], and of a slide [m]."""
 KINDS: dict[str, type[Action]] = {}
-"""Every action by the name that files give it."""
+"""Actions by their names in files."""
 
 
 class ActionWords(NamedTuple):
@@ -32,7 +32,7 @@ class ActionWords(NamedTuple):
     name: str
     """Verb, such as "turn"."""
     about: str = ""
-    """Center of a turn that has one of its own, mm, object frame."""
+    """Center of a turn at constant speed, mm, object frame; else empty."""
     manner: str = ""
     """Direction, speed, or times."""
 
@@ -63,8 +63,8 @@ class Action:
     in_air: ClassVar[bool] = False
     """True if the object leaves the table."""
     turns: ClassVar[bool] = False
-    """True if the object turns about a vertical axis through `center` on the table, as predictions and checks of logs
-    take it; one that does not is pulled straight along `heading`."""
+    """True if predictions and checks of logs take the motion on the table as a turn about a vertical axis through
+    `center`; False for a straight line along `heading`."""
     accelerated: ClassVar[bool] = False
     """True if the steady stretches on the table are at constant acceleration, False if at constant speed."""
 
@@ -132,27 +132,27 @@ class Action:
         return None
 
     def check_start(self, shape: ObjectShape) -> None:
-        """Refuse an action that has no room to begin.
+        """Refuse an action without room to begin.
 
         Raises:
             InfeasibleTrialError: no face there, or no room for a fingertip to come down.
         """
 
     def needs_camera(self, shape: ObjectShape) -> bool:
-        """True if something moves that the hand does not hold."""
+        """True if a body moves that the hand does not hold."""
         return self.on_table and (self.pushes or shape.chain is not None)
 
     def centered_pose(
         self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "3"]:
-        """Planar pose of the object [m, m, rad], world, whose action stays about the middle of the workspace.
+        """Planar pose of the object at the start [m, m, rad], world, of an action about the middle of the workspace.
 
-        The hand stays over it unless an action moves over the table.
+        The hand is over the middle, unless the action moves over the table.
 
         Args:
             shape: geometry of the object.
             step: time between ticks, s.
-            shift: shift from there, and turn about it, m, m, rad.
+            shift: displacement from the middle and rotation about it, m, m, rad.
         """
         place, angle = self.hand(shape)
         return pose_from_point(np.array(WORKSPACE) + shift[:2], place, np.array(shift[2] - angle))
@@ -187,12 +187,12 @@ class Action:
 
     @property
     def pace(self) -> float:
-        """Ratio of the times of a fast push, of its contact and its windows, to those of a slow one; else 1."""
+        """Ratio of the contact time and the window length of a fast push to those of a slow one; else 1."""
         return 1.0
 
     @property
     def tilt_acceleration(self) -> float:
-        """Angular acceleration by which it rocks in the air [rad/s^2]."""
+        """Angular acceleration of the rocking in the air [rad/s^2]."""
         return 0.0
 
     def accelerates(self, segment: int) -> bool:
@@ -204,7 +204,7 @@ class Action:
         raise NotImplementedError
 
     def describe(self, shape: ObjectShape) -> str:
-        """Sentence of the whole action."""
+        """Action in one line, from `words`."""
         name, about, manner = self.words(shape)
         if self.grasp is not None:
             known = self.grasp < len(shape.grasps)
@@ -235,7 +235,7 @@ class TableAction(Action):
     def centered_pose(
         self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "3"]:
-        """Planar pose of the object at the start of the path that is centered, but for the shift."""
+        """Planar pose of the object at the start of the centered path, after the shift [m, m, rad], world."""
         path = self.centered_path(shape, self.profile(step).length).shifted(shift, WORKSPACE)
         return path.object_pose(np.array([-0.5]))[0]
 

@@ -24,14 +24,14 @@ CLEARANCE = 0.010
 RAISE_TIME = 1.5
 """Least time of the way up, and of the way down [s]."""
 TILT_TIME = 0.8
-"""Least time to take up a tilt, and to give it up again [s]."""
+"""Least time from level to a tilt, and back [s]."""
 TILT_ACCELERATION = 1.0
-"""Greatest angular acceleration of that, about, where it takes longer [rad/s^2]."""
+"""Approximate greatest angular acceleration of such a move [rad/s^2]; a large tilt takes longer."""
 LEAST_STRETCH = 0.4
-"""Least time of a move's half that counts as a stretch [s]: a shorter one is over before the arm follows it."""
+"""Least time of half a move that counts as a stretch [s]: the arm lags behind in a shorter one."""
 
 _RISE, _TILT = 4, math.radians(4)
-"""Stretches between the knots of the way up, and the angle between those of a tilt [rad]."""
+"""Number of intervals between the knots of the way up, and angle between the knots of a tilt [rad]."""
 _UP = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -39,9 +39,9 @@ _UP = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 class Lift(Action, kind="lift"):
     """Lift the object clear of the table, hold it still at tilts about its x and y axis, and rock it about all three.
 
-    At rest, the wrench is its weight at its center of mass, without friction; rocking adds the second moments. It
-    rocks about the TCP between tilts of either sign, at one angular acceleration of alternating sign. Without swings it
-    stops and goes, from tilt to tilt.
+    At rest, the wrench is the weight at the center of mass, without friction; rocking adds the second moments. The
+    object rocks about the TCP between tilts of both signs, at one angular acceleration of alternating sign. Without
+    swings it moves from tilt to tilt and stops at each.
     """
 
     in_air: ClassVar[bool] = True
@@ -71,9 +71,9 @@ class Lift(Action, kind="lift"):
 
     @classmethod
     def stop_and_go(cls, grasp: int, tilt: float = math.radians(20), poses: int = 4, hold: float = 2.0) -> Self:
-        """Lift that stops at so many tilts about x and y, and moves between them so slowly that a move is seen too.
+        """Lift that stops at `poses` tilts about x and y, with moves slow enough to be stretches too.
 
-        The stops show M and c; the moves show the inertia, but faintly.
+        The stops determine M and c; the moves determine the inertia weakly.
         """
         moved = 2 * tilt / (max(poses, 2) - 1)
         slow = min(cls.acceleration, moved / LEAST_STRETCH**2) if tilt else cls.acceleration
@@ -86,11 +86,11 @@ class Lift(Action, kind="lift"):
 
     @property
     def tilt_acceleration(self) -> float:
-        """Angular acceleration by which it rocks [rad/s^2]; 0 without a tilt."""
+        """Angular acceleration of the rocking [rad/s^2]; 0 without a tilt."""
         return self.acceleration if self.tilt > 0 else 0.0
 
     def accelerates(self, segment: int) -> bool:
-        """True if it rocks, or moves between tilts, in a stretch; False where it holds still."""
+        """True if the object rocks or moves between tilts in a stretch; False at rest."""
         return _sampled(self)[1][segment]
 
     def clear_height(self, shape: ObjectShape) -> float:
@@ -103,7 +103,7 @@ class Lift(Action, kind="lift"):
 
         Args:
             step: time between ticks, s.
-            height: another height than its own, as `clear_height` gives, m.
+            height: height to lift to, such as `clear_height`, m; that of the action if left out.
             speed: greatest speed up and down, m/s.
         """
         return LiftProfile.of(self, step, self.height if height is None else height, speed)
@@ -113,7 +113,7 @@ class Lift(Action, kind="lift"):
     ) -> ToolPath:
         """Path of the tool over an object that starts at a planar pose [m, m, rad], world: up, then about each axis.
 
-        A redundant arm would come back to a pose by other joint angles, so every axis has a way of its own.
+        Every axis has a way of its own, since a redundant arm could return to a pose with other joint angles.
         """
         up = self.clear_height(shape)
         profile, (place, angle) = self.sampled(step, up, speed), self.hand(shape)
@@ -135,13 +135,13 @@ class Lift(Action, kind="lift"):
 
 
 def _straight(start: np.ndarray, along: np.ndarray, knots: np.ndarray, parameter: np.ndarray, rate: np.ndarray) -> Way:
-    """Way along a constant derivative of the pose."""
+    """Way with a constant derivative of the pose."""
     return Way(lambda p: start + np.outer(p, along), lambda p: np.tile(along, (len(p), 1)), knots, parameter, rate)
 
 
 @lru_cache(maxsize=1024)
 def _sampled(action: Lift) -> tuple[float, tuple[bool, ...]]:
-    """Duration [s], and whether it accelerates in each stretch."""
+    """Duration [s], and True for each stretch with acceleration."""
     step = 0.01
     profile = action.sampled(step)
     first = np.unique(profile.segment[profile.segment >= 0], return_index=True)[1]
@@ -154,7 +154,7 @@ class LiftProfile:
     """Height and angles of a lift at N ticks; the first is one step after its start."""
 
     height: Float[np.ndarray, "N"]
-    """Height over the place where it lay [m]."""
+    """Height over the pose on the table [m]."""
     height_rate: Float[np.ndarray, "N"]
     """Rate of `height` [m/s]."""
     angle: Float[np.ndarray, "N 3"]
@@ -213,7 +213,7 @@ class LiftProfile:
                 left = angles[1:] if action.swings % 2 else angles[-2:0:-1]
             for angle in left:
                 at = go(axis, at, angle, 0)
-                if index < 2 or abs(angle) == action.tilt:  # about z all are as one
+                if index < 2 or abs(angle) == action.tilt:  # about z the wrench at rest does not change
                     still(up, at * axis)
             tilt(at * axis, level)
         move(way_time, (up, 0.0), level, level)
@@ -229,9 +229,9 @@ class LiftProfile:
 def _swings(
     begin: float, end: float, swings: int, acceleration: float, step: float
 ) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
-    """Angle, rate and acceleration from rest at `begin`, there and back, to rest, a stretch of one sign each.
+    """Angle, rate, acceleration and steadiness of each stretch of one sign, from rest at `begin` to rest.
 
-    Half a stretch speeds up, half a stretch slows down: with `swings` between, those two are not steady.
+    The first and the last stretch are half as long; they are not steady if there are swings between them.
     """
     stretch = math.sqrt(abs(end - begin) / acceleration)
     half = max(round(stretch / step), 1)

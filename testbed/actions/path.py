@@ -1,4 +1,4 @@
-"""Paths of object and tool in an action: progress in time, place in space, and the table's edges."""
+"""Paths of object and tool in an action: progress in time, poses in space, and the table's edges."""
 
 from __future__ import annotations
 
@@ -172,23 +172,23 @@ class Way:
     """
 
     pose: Callable[[Float[np.ndarray, "M"]], Float[np.ndarray, "M 7"]]
-    """Poses by the parameter."""
+    """Poses at values of the parameter."""
     slope: Callable[[Float[np.ndarray, "M"]], Float[np.ndarray, "M 7"]]
-    """Their derivatives in the parameter."""
+    """Derivatives of the poses in the parameter."""
     knots: Float[np.ndarray, "K"]
     """Parameters between which joint angles are interpolated, 0 among them."""
     parameter: Float[np.ndarray, "N"]
     """Parameter at each tick."""
     rate: Float[np.ndarray, "N"]
-    """Its rate [1/s]."""
+    """Rate of `parameter` [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolPath:
     """Path of the tool in an action, at N ticks of which the first is one step after its start.
 
-    The first way has whole poses, with height 0 where the grip holds. Others start at its far end, one after the other,
-    and have offsets of poses.
+    The poses are the sum of all ways. The first way has whole poses, with height 0 at the grip; the others have offsets
+    from them, and move one after the other.
     """
 
     step: float
@@ -223,7 +223,7 @@ class ToolPath:
 
 
 def level(planar: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M 7"]:
-    """Poses, or their derivatives, of a tool that points down at the height of the grip from planar ones."""
+    """Poses (or derivatives) of a tool that points down at the height of the grip, from planar ones, (M, 7)."""
     found = np.zeros((len(planar), 7))
     found[:, [0, 1, 3]] = planar
     return found
@@ -235,7 +235,7 @@ EDGES = ("far", "left", "near", "right")
 """Names of the table's edges as the arm faces them: the sides of +x, +y, -x and -y."""
 OFFSET = np.array([HIGH[0], HIGH[1], -LOW[0], -LOW[1]])
 """Distance of each edge from the arm's base, outwards [m]."""
-_WAY = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+_OUTWARDS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 _HEADING = np.array([0.0, 0.5, 1.0, 1.5]) * math.pi
 
 
@@ -254,7 +254,7 @@ def overhang(
     turn: Float[np.ndarray, "N"],
     slide: Float[np.ndarray, "N 2"],
 ) -> Float[np.ndarray, "N 4"]:
-    """Farthest reach of an object past each edge on its path [m], shape (N, 4); below 0 where it stays inside.
+    """Farthest reach of an object past each edge on its path [m], shape (N, 4); negative inside the table.
 
     Exact: the farthest point of an arc is one of its ends, or the point that heads straight for the edge.
 
@@ -270,9 +270,9 @@ def overhang(
     radius = np.hypot(lever[..., 0], lever[..., 1])[..., None]
     middle = (np.arctan2(lever[..., 1], lever[..., 0]) + yaw[:, None])[..., None] - _HEADING
     half = np.abs(turn)[:, None, None] / 2
-    off = np.abs(np.remainder(middle + math.pi, 2 * math.pi) - math.pi)  # from the heading, at the middle of the way
+    off = np.abs(np.remainder(middle + math.pi, 2 * math.pi) - math.pi)  # angle from the heading at mid-path
     reach = (radius * np.cos(np.maximum(off - half, 0.0))).max(axis=1)
-    return center @ _WAY.T + np.abs(slide @ _WAY.T) / 2 + reach - OFFSET
+    return center @ _OUTWARDS.T + np.abs(slide @ _OUTWARDS.T) / 2 + reach - OFFSET
 
 
 def overhang_of(shape: ObjectShape, path: PlanarPath) -> Float[np.ndarray, "4"]:

@@ -27,18 +27,18 @@ from testbed.objects.model import ObjectShape
 from testbed.validation import check_positive_fields, frozen_array, is_number
 
 GAP = 0.01
-"""Least way of the fingertip before it meets the face [m]."""
+"""Least distance of the fingertip from the face at the start [m]."""
 SPEEDS = (0.005, 0.2)
 """Least and greatest speed of a push [m/s]: slower ones stick, and after faster ones an object slides on."""
 TIP_HEIGHT = 0.008
-"""Height over the table of a fingertip's edge, on a peg between the closed fingers [m]: pushed higher up, an object's
-light parts would lift off on one side. A low object is met at half its height."""
+"""Height of the fingertip over the table, on a peg between the closed fingers [m]: a higher push would tilt light parts
+off the table. A low object is pushed at half its height."""
 LEAST_LENGTH = 0.03
-"""Least length of a push [m]: a shorter one shows nothing before it stops."""
+"""Least length of a push [m]: a shorter one stops before it has data."""
 SLOW = 0.05
 """Speed of a push up to which its `pace` is 1 [m/s]."""
 LEAST_CONTACT = 1.0
-"""Least time in contact of a push that is data, at a pace of 1 [s]."""
+"""Least contact time of a usable push, at a pace of 1 [s]."""
 ON_FACE = 1e-4
 """Greatest distance of a push's point from the outline [m]."""
 _SPACING = 0.01
@@ -63,15 +63,15 @@ class Push(Action, kind="push"):
     direction: float
     """Direction of travel as it meets the object [rad], object frame."""
     curvature: float = 0.0
-    """Turn of the path's direction a length of it, left positive [rad/m]."""
+    """Curvature of the path, positive to the left [rad/m]."""
     speed: float = 0.03
     """Speed of the fingertip [m/s]."""
     length: float = 0.1
-    """Length of the path from where the object lay [m]."""
+    """Length of the path from the first contact [m]."""
     radius: float = 0.006
     """Radius of the fingertip [m]."""
     friction: float = 0.4
-    """Friction of the fingertip against the faces, by which a simulation lets it slide; no method needs it."""
+    """Friction of the fingertip against the faces in a simulation; no method uses it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", tuple(frozen_array("Push.point", self.point, (2,)).tolist()))
@@ -81,14 +81,14 @@ class Push(Action, kind="push"):
                 raise InvalidValueError(f"Push.{name}", value, "a finite number")
         if not SPEEDS[0] <= self.speed <= SPEEDS[1]:
             raise InvalidValueError("Push.speed", self.speed, f"{SPEEDS[0]:g} to {SPEEDS[1]:g}, m/s")
-        ramps = self.speed * RAMP_TIME - self.gap  # the way on which it is not at its speed
+        ramps = self.speed * RAMP_TIME - self.gap  # distance at less than full speed
         if self.length < LEAST_LENGTH or self.length <= ramps:
             allowed = f"at least {LEAST_LENGTH:g}, m, and at {self.speed:g} m/s more than {ramps:.3g}"
             raise InvalidValueError("Push.length", self.length, allowed)
 
     @classmethod
     def into(cls, face: Face, part: float = 0.5, angle: float = 0.0, curvature: float = 0.0) -> Self:
-        """Push into a face at a part of its length, at an angle from its normal [rad]: straight into its middle.
+        """Push into a face at a part of its length, at an angle from its normal [rad].
 
         Raises:
             InvalidValueError: a part that is not from 0 to 1.
@@ -101,12 +101,12 @@ class Push(Action, kind="push"):
 
     @property
     def pace(self) -> float:
-        """Ratio of the times of its contact and its windows to those of a slow push, over the same way."""
+        """Ratio of the contact time and the window length to those of a slow push, over the same distance."""
         return min(SLOW / self.speed, 1.0)
 
     @property
     def gap(self) -> float:
-        """Way of the fingertip before it meets the face [m]: it moves at its speed by then."""
+        """Distance of the fingertip from the face at the start [m], enough to reach its speed."""
         return max(GAP, self.speed * RAMP_TIME / 2)
 
     @property
@@ -120,7 +120,7 @@ class Push(Action, kind="push"):
         return (Steady(self.speed, 0.0, (self.gap + self.length) / self.speed - RAMP_TIME),)
 
     def fingertip(self, shape: ObjectShape) -> Fingertip:
-        """Fingertip, low on the object."""
+        """Fingertip, at the height of the push."""
         return Fingertip(self.radius, self.friction, min(TIP_HEIGHT, shape.height / 2))
 
     def hand(self, shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], float]:
@@ -142,12 +142,12 @@ class Push(Action, kind="push"):
         return face
 
     def check_start(self, shape: ObjectShape) -> None:
-        """Refuse a push that does not begin beside the object.
+        """Refuse a push without room for the fingertip beside the object.
 
         Raises:
             InfeasibleTrialError: no face there, or no room for the fingertip to come down.
         """
-        gap = room_at(shape, self._met(shape, np.zeros(1))[0])
+        gap = room_at(shape, self._tip_path(shape, np.zeros(1))[0])
         if gap < self.radius - 1e-9:
             raise InfeasibleTrialError(
                 f"push: the fingertip would come down {max(gap, 0.0) * 1e3:.1f} mm from the object with its radius of "
@@ -171,14 +171,14 @@ class Push(Action, kind="push"):
     def centered_pose(
         self, shape: ObjectShape, step: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "3"]:
-        """Planar pose of an object whose push leads sideways through the middle of the workspace.
+        """Planar pose of an object whose push crosses the middle of the workspace along y.
 
         Raises:
             InfeasibleTrialError: it meets no face.
         """
         profile = self.profile(step)
         count = self._stretches(profile)
-        middle = self._met(shape, np.array([(count // 2) / count * profile.length]))[0]
+        middle = self._tip_path(shape, np.array([(count // 2) / count * profile.length]))[0]
         yaw = math.pi / 2 - self.direction - self.curvature * self.length / 2 + shift[2]
         return pose_from_point(np.array(WORKSPACE) + shift[:2], middle, np.array(yaw))
 
@@ -194,7 +194,7 @@ class Push(Action, kind="push"):
         length = profile.length
 
         def place(parameter: np.ndarray) -> np.ndarray:
-            at = transform_point(start, self._met(shape, parameter * length))
+            at = transform_point(start, self._tip_path(shape, parameter * length))
             return level(np.column_stack([at, np.zeros(len(at))]))
 
         def slope(parameter: np.ndarray) -> np.ndarray:
@@ -209,8 +209,8 @@ class Push(Action, kind="push"):
     def _stretches(profile: Profile) -> int:
         return max(math.ceil(profile.length / _SPACING), LEAST_KNOTS)
 
-    def _met(self, shape: ObjectShape, distance: np.ndarray) -> np.ndarray:
-        """`path` of a trial."""
+    def _tip_path(self, shape: ObjectShape, distance: np.ndarray) -> np.ndarray:
+        """`path`; a push that meets no face is an infeasible trial."""
         try:
             return self.path(shape, distance)
         except InvalidValueError as error:

@@ -5,6 +5,7 @@ import os
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,24 +21,11 @@ from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
 from tests.helpers.commands import ended, refusal
+from tests.helpers.meshes import box, together
 
 TOOLS = Path(os.environ.get("HEFT_TOOLS", Path(__file__).parents[4] / "shared" / "tools"))
 HEAD, SHAFT = (0.04, 0.09, 0.03), (0.20, 0.03, 0.02)
 RED, GREY = [200, 30, 30, 255], [120, 120, 120, 255]
-
-
-def box(size: tuple[float, float, float], middle: tuple[float, float, float], color: list[int]) -> trimesh.Trimesh:
-    """Box in one color, m."""
-    made = trimesh.creation.box(size)
-    made.visual = trimesh.visual.ColorVisuals(made, face_colors=color)
-    return made.apply_translation(middle)
-
-
-def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Several bodies as one mesh."""
-    made = trimesh.util.concatenate(list(meshes))
-    assert isinstance(made, trimesh.Trimesh)
-    return made
 
 
 def mallet(overlap: float = 0.0) -> trimesh.Trimesh:
@@ -53,18 +41,20 @@ def saved(mesh: trimesh.Trimesh, path: Path, scale: float = 1.0) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "scale", "told"),
+    ("name", "scale", "note"),
     [
         ("m.stl", 1.0, "unit m, taken from"),
         ("mm.obj", 1e3, "unit mm, taken from"),
         ("mm.ply", 1e3, "unit mm, taken from"),
         ("m.glb", 1.0, "unit m, as the file says"),
         ("mm.off", 1e3, "unit mm, taken from"),
+        ("in.stl", 1 / 0.0254, "unit in, as asked; 229 mm"),
     ],
 )
-def test_every_format_is_one_object_in_meters(tmp_path: Path, name: str, scale: float, told: str):
-    made = convert_mesh(saved(mallet(), tmp_path / name, scale), parts="bodies")
-    assert told in made.notes[0]
+def test_every_format_is_one_object_in_meters(tmp_path: Path, name: str, scale: float, note: str):
+    asked = "in" if name == "in.stl" else None
+    made = convert_mesh(saved(mallet(), tmp_path / name, scale), unit=asked, parts="bodies")
+    assert note in made.notes[0]
     assert_allclose(np.sort(made.volumes), np.sort([np.prod(HEAD), np.prod(SHAFT)]), rtol=1e-3)  # of triangles saved
     assert_allclose(joined_bounds(made.parts), [[-0.12, -0.045, 0], [0.12, 0.045, 0.03]], atol=1e-4)
     assert made.grasps
@@ -75,12 +65,30 @@ def joined_bounds(parts) -> np.ndarray:
     return np.array([np.min([p.bounds[0] for p in parts], axis=0), np.max([p.bounds[1] for p in parts], axis=0)])
 
 
-def test_a_unit_is_taken_as_asked_and_an_unlikely_one_refused(tmp_path: Path):
-    path = saved(mallet(), tmp_path / "tool.stl", 1 / 0.0254)
-    assert "unit in, as asked; 229 mm" in read_surface(path, "in").notes[0]
-    for length, unit in ((1e6, None), (1e3, "m"), (1.0, "ell")):
-        with pytest.raises(InvalidValueError):
-            read_surface(saved(mallet(), tmp_path / "other.stl", length), unit)
+def cut_file(path: Path, how: str) -> None:
+    cut(read_surface(path), how)
+
+
+BAR = trimesh.creation.box((0.2, 0.03, 0.02))
+SHEET, LARGE_SHEET = (trimesh.Trimesh([[0, 0, 0], [a, 0, 0], [0, a, 0]], [[0, 1, 2]]) for a in (0.1, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "scale", "call", "message"),
+    [
+        (mallet(), 1e6, read_surface, "file: got 'a longest side of "),
+        (mallet(), 1e3, partial(read_surface, unit="m"), "units: got '229.* m long in m'"),
+        (mallet(), 1.0, partial(read_surface, unit="ell"), "units: got 'ell'"),
+        (together(mallet(), LARGE_SHEET), 1.0, read_surface, r"of which \d+ % of the surface encloses nothing"),
+        (SHEET, 1.0, read_surface, "encloses a volume"),
+        (BAR, 1.0, partial(convert_mesh, down="²"), "down: got '²'"),
+        *((BAR, 1.0, partial(cut_file, how=how), "clusters:2 to") for how in ("clusters:1", "clusters:²")),
+        *((BAR, 1.0, partial(cut_file, how=how), "planes as") for how in ("0", "99", "1.5", "color")),
+    ],
+)
+def test_a_file_or_a_word_that_makes_no_object_is_refused(mesh, scale: float, call, message: str, tmp_path: Path):
+    with pytest.raises(InvalidValueError, match=message):
+        call(saved(mesh, tmp_path / "m.ply", scale))
 
 
 def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
@@ -95,7 +103,7 @@ def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda tree: tree["accessors"][1].update(count=4), "a triangle of vertex 7"),
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=0), "no triangles in it"),
@@ -104,11 +112,11 @@ def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
     ],
     ids=["index", "points", "cycle", "length"],
 )
-def test_a_mesh_that_cannot_be_is_refused_in_a_line(change, said: str, tmp_path: Path):
+def test_a_mesh_that_cannot_be_is_refused_in_a_line(change, message: str, tmp_path: Path):
     glb = trimesh.Scene(trimesh.creation.box((0.05, 0.05, 0.05))).export(file_type="glb")
     assert isinstance(glb, bytes)
     (tmp_path / "m.glb").write_bytes(with_tree(glb, change))
-    with pytest.raises(InvalidValueError, match=said) as error:
+    with pytest.raises(InvalidValueError, match=message) as error:
         read_surface(tmp_path / "m.glb")
     assert "\n" not in str(error.value)
 
@@ -130,13 +138,6 @@ def test_corners_that_are_split_at_hard_edges_are_one_surface(kind: str, tmp_pat
     assert_allclose(surface.whole.volume(), read_surface(saved(whole, tmp_path / "whole.ply")).whole.volume())
 
 
-def test_a_surface_that_would_lose_a_large_part_is_refused(tmp_path: Path):
-    whole, sheet = mallet(), trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0]], [[0, 1, 2]])
-    both: trimesh.Trimesh = trimesh.util.concatenate([whole, sheet])  # pyright: ignore[reportAssignmentType]
-    with pytest.raises(InvalidValueError, match=r"of which \d+ % of the surface encloses nothing"):
-        read_surface(saved(both, tmp_path / "m.ply"))
-
-
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply", "glb"])
 def test_a_pointer_of_git_lfs_is_named(kind: str, tmp_path: Path):
     path = tmp_path / f"m.{kind}"
@@ -153,7 +154,7 @@ def test_a_large_object_has_cells_that_its_grid_can_hold(tmp_path: Path):
         convert_mesh(tmp_path / "plate.stl", cell=0.01).model([1.0], 0.5)
 
 
-def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):
+def test_open_inverted_and_doubled_surfaces_are_repaired(tmp_path: Path):
     whole = mallet(overlap=0.01)
     broken = {
         "hole": trimesh.Trimesh(whole.vertices, whole.faces[[0, *range(2, 24)]], process=False),
@@ -164,12 +165,9 @@ def test_what_is_open_inside_out_or_doubled_is_mended(tmp_path: Path):
     union = np.prod(HEAD) + np.prod(SHAFT) - 0.01 * SHAFT[1] * SHAFT[2]
     for why, mesh in broken.items():
         surface = read_surface(saved(mesh, tmp_path / f"{why}.ply"))
-        assert any(why in told or "filled" in told for told in surface.notes[1:]), surface.notes
+        assert any(why in note or "filled" in note for note in surface.notes[1:]), surface.notes
         assert_allclose(surface.whole.volume(), union, rtol=1e-4)
     assert read_surface(saved(whole, tmp_path / "whole.ply")).notes[1:] == ()
-    with pytest.raises(InvalidValueError, match="encloses a volume"):
-        sheet = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]])
-        read_surface(saved(sheet, tmp_path / "sheet.ply"))
 
 
 def test_a_cavity_stays_a_cavity(tmp_path: Path):
@@ -192,7 +190,7 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
     head, shaft = cut(surface, "clusters:2")[0]  # where the width changes: the slices are 2 mm
     assert_allclose(sorted([head.volume(), shaft.volume()]), [np.prod(HEAD), 0.95 * np.prod(SHAFT)], rtol=0.05)
     # one body alone, whose points have two labels: it is cut where the labels meet
-    bar = read_surface(saved(trimesh.creation.box((0.2, 0.03, 0.02)), tmp_path / "bar.ply"))
+    bar = read_surface(saved(BAR, tmp_path / "bar.ply"))
     left = (bar.points[:, 0] < 0.02).astype(int)
     parts, _ = cut(replace(bar, labels=left), "colours")
     assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.02)
@@ -202,14 +200,6 @@ def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Pa
     cloud.write_text(head + "property uchar segmentation\nend_header\n" + "\n".join(rows) + "\n")
     parts, _ = cut(labelled(bar, cloud), "colours")
     assert_allclose([part.volume() for part in parts], np.array([0.12, 0.08]) * 0.03 * 0.02, rtol=0.05)
-    for wrong in ("clusters:1", "clusters:²"):
-        with pytest.raises(InvalidValueError, match="clusters:2 to"):
-            cut(bar, wrong)
-    with pytest.raises(InvalidValueError, match="down: got '²'"):
-        convert_mesh(tmp_path / "bar.ply", down="²")
-    for wrong in ("0", "99", "1.5", "color"):
-        with pytest.raises(InvalidValueError, match="planes as"):
-            cut(bar, wrong)
 
 
 def test_a_tripod_stands_on_its_three_feet(tmp_path: Path):
@@ -268,10 +258,10 @@ def test_the_files_are_an_object_that_loads_as_it_was_made(tmp_path: Path, capsy
     assert_allclose(loaded.shape.particles, model.shape.particles, atol=1e-6)
     assert_allclose(loaded.group_mass, [0.4, 0.2])
     main(["mesh", str(path), "--out", str(tmp_path / "out"), "--mass", "0.6"])
-    said = capsys.readouterr().out
-    assert "2 parts by colours" in said and "rests on" in said
-    told = load_object(tmp_path / "out" / "my_mallet.toml")
-    assert_allclose(told.group_mass, 0.6 * made.volumes / made.volumes.sum(), atol=1e-6)
+    printed = capsys.readouterr().out
+    assert "2 parts by colours" in printed and "rests on" in printed
+    object_of_command = load_object(tmp_path / "out" / "my_mallet.toml")
+    assert_allclose(object_of_command.group_mass, 0.6 * made.volumes / made.volumes.sum(), atol=1e-6)
     assert (tmp_path / "out" / "my_mallet.png").stat().st_size > 10_000
     main(["identify", str(tmp_path / "out" / "my_mallet.toml"), "--pivots", "0"])
     assert "my_mallet, rigid, " in capsys.readouterr().out

@@ -19,6 +19,7 @@ from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, mesh_object, read_mesh
 from testbed.objects.model import ObjectModel, Solid
 from testbed.objects.rays import RayGrid, grid_hits
+from tests.helpers.meshes import together
 
 OBJECTS = asset_folder("objects")
 TOOLS = {"hammer": ("hammer_head", "hammer_handle"), "wrench": ("wrench_jaw", "wrench_ring")}
@@ -34,13 +35,6 @@ def box(size: tuple[float, float, float], corner: tuple[float, float, float] = (
     mesh = trimesh.creation.box(size)
     mesh.apply_translation(np.array(corner) + np.array(size) / 2)
     return mesh
-
-
-def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Several bodies as one mesh."""
-    made = trimesh.util.concatenate(list(meshes))
-    assert isinstance(made, trimesh.Trimesh)
-    return made
 
 
 def cut(
@@ -120,13 +114,6 @@ def test_a_solid_has_the_moments_that_trimesh_finds(name: str):
     assert_allclose(solid.volume, mesh.volume, rtol=1e-9)
     assert_allclose(solid.center_of_mass, mesh.center_mass, atol=1e-9)
     assert_allclose(solid.inertia_z, 0.7 * mesh.moment_inertia[2, 2] / mesh.volume, rtol=1e-6)
-
-
-def test_a_solid_may_lie_anywhere():
-    near, far = box((0.1, 0.02, 0.03)), box((0.1, 0.02, 0.03), (0.7, -0.4, 0.2))
-    a, b = (Solid(m.vertices, m.faces, 2.0) for m in (near, far))
-    assert_allclose(b.center_of_mass - a.center_of_mass, [0.7, -0.4, 0.2], atol=1e-12)
-    assert_allclose([a.inertia_z, b.inertia_z], 2 * (0.1**2 + 0.02**2) / 12, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", TOOLS)

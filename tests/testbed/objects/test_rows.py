@@ -77,20 +77,20 @@ def test_the_open_fingers_need_room_beside_a_row():
     assert {"A1-B1", "A2-B2"} & set(names(stair, 0.03, Hand(finger_width=0.04))) == {"A1-B1"}
 
 
-def test_a_hand_too_small_is_said(tmp_path, capsys, monkeypatch):
+def test_a_hand_too_small_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "two_by_three.toml").write_text(TWO_BY_THREE)
-    said = "have room for the fingers of a hand that opens to 60 mm"
+    reason = "have room for the fingers of a hand that opens to 60 mm"
     hand = HandMap(topic="/pose", stroke_m=0.06).size
     shape = load_object("two_by_three.toml", hand=hand).shape
     asked = MappedAction(Rotate(0), "A1-B1")
-    with pytest.raises(InvalidValueError, match=said):
+    with pytest.raises(InvalidValueError, match=reason):
         asked.on(shape, hand)
     assert asked.on(load_object("two_by_three.toml").shape).grasp == 0
     (tmp_path / "robot.toml").write_text("[gripper]\nstroke_m = 0.06\n")
     for words in ([], ["--action", "slide"]):
         assert ended("robot", "trial", "two_by_three.toml", *words, "--dry-run") == 2
-        assert said in capsys.readouterr().err
+        assert reason in capsys.readouterr().err
     (tmp_path / "robot.toml").write_text("[gripper]\nstroke_m = 0.05\n")
     assert ended("robot", "trial", "L2", "--grasp", "A2", "--dry-run") == 2
     assert "grasp: got 'A2, 50 mm across'; allowed: 5 mm less than the hand's 50 mm" in capsys.readouterr().err
@@ -137,31 +137,27 @@ def _model(tmp_path: Path) -> ObjectModel:
 
 
 def test_feet_stand_under_the_middle_of_each_block_and_weigh_nothing(model: ObjectModel, tmp_path: Path):
-    shape, on_cells = model.shape, written(tmp_path, "").shape
+    shape, plain = model.shape, written(tmp_path, "")
     assert shape.stands_on_feet and shape.stands_in_groups and len(shape.feet) == 9
     for group in range(3):
         own = shape.feet[shape.mass_group[shape.feet] == group]
-        middle = on_cells.particles[on_cells.mass_group == group].mean(axis=0)
+        middle = plain.shape.particles[plain.shape.mass_group == group].mean(axis=0)
         assert_allclose(shape.particles[own], middle + PADS, atol=1e-12)
     assert (shape.friction_group[shape.cells] == -1).all()
     assert_allclose(model.group_mass, [0.4, 0.1, 0.3])
-    plain = written(tmp_path, "")
     assert_allclose(model.center_of_mass, plain.center_of_mass, atol=1e-12)
     assert model.inertia_cm == pytest.approx(plain.inertia_cm)
 
 
 def test_feet_may_be_given_by_name(model: ObjectModel, tmp_path: Path):
     shape = model.shape
-    by_name = {
-        name: shape.particles[shape.feet[shape.mass_group[shape.feet] == group]].tolist()
-        for group, name in enumerate(shape.group_names)
-    }
-    lines = "".join(f"{name} = {places}\n" for name, places in by_name.items())
+    own = [shape.particles[shape.feet[shape.mass_group[shape.feet] == group]].tolist() for group in range(3)]
+    lines = "".join(f"{name} = {places}\n" for name, places in zip(shape.group_names, own, strict=True))
     assert_allclose(written(tmp_path, "[feet.under_m]\n" + lines).shape.particles, shape.particles, atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("feet", "named"),
+    ("feet", "message"),
     [
         ("[feet]\n", "under_each_m"),
         ("[feet]\nunder_each_m = [[0.0, 0.01], [0.01, 0.0]]\n", "3 or more"),
@@ -170,12 +166,12 @@ def test_feet_may_be_given_by_name(model: ObjectModel, tmp_path: Path):
         ("[feet.under_m]\nA1 = [[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]]\n", "A1, B1, A2"),
     ],
 )
-def test_feet_that_cannot_be_are_refused(feet: str, named: str, tmp_path: Path):
-    with pytest.raises(HeftError, match=named):
+def test_wrong_feet_are_refused(feet: str, message: str, tmp_path: Path):
+    with pytest.raises(HeftError, match=message):
         written(tmp_path, feet)
 
 
-def test_an_answer_is_written_with_its_feet(model: ObjectModel, tmp_path: Path):
+def test_files_and_results_keep_the_feet(model: ObjectModel, tmp_path: Path):
     exported = Exported("again", model.shape, model.truth)
     (tmp_path / "again.toml").write_text(to_object_file(exported))
     again = load_object(tmp_path / "again.toml")
@@ -184,9 +180,6 @@ def test_an_answer_is_written_with_its_feet(model: ObjectModel, tmp_path: Path):
     assert again.shape.stands_on_feet
     assert [box.friction for box in exported.boxes] == [0.5] * 3
     assert to_mjcf(exported).count("<geom") == 3
-
-
-def test_a_results_folder_knows_them(model: ObjectModel):
     again = object_of(object_request(model), {"groups": list(model.shape.group_names)})
     assert again.shape.stands_on_feet and again.shape.stands_in_groups
 
@@ -275,7 +268,10 @@ def test_pads_are_printed_once_a_kind_and_only_for_known_feet(tmp_path: Path, ca
     written(tmp_path, f"[feet]\nunder_each_m = {PADS}\n")
     main(["show", str(tmp_path / "corner.toml"), "--pads", str(tmp_path / "pads")])
     (path,) = (tmp_path / "pads").iterdir()
-    assert f"{path}: 49.0 x 49.0 x 4.5 mm" in (said := capsys.readouterr().out.replace("\n", " ")) and "print 3" in said
+    assert (
+        f"{path}: 49.0 x 49.0 x 4.5 mm" in (printed := capsys.readouterr().out.replace("\n", " "))
+        and "print 3" in printed
+    )
     assert trimesh.load_mesh(path).is_watertight
     assert ended("show", "L2", "--pads", str(tmp_path / "none")) == 2
     assert "[feet]" in capsys.readouterr().err and not (tmp_path / "none").exists()
@@ -287,7 +283,7 @@ def test_without_noise_the_masses_come_out(name: str):
     tool = load_object(name)
     shape = tool.shape
     with SimulationRunner() as bench:
-        felt = [
+        trials = [
             bench.run(Trial(tool, action))
             for grasp, place in enumerate(shape.grasps)
             for action in (
@@ -295,7 +291,7 @@ def test_without_noise_the_masses_come_out(name: str):
                 Accelerate(grasp),
             )
         ]
-    answer = HiddenStates().estimate(shape, tool.total_mass, felt, seed=0)
-    # what the particles miss of a mesh is more than the errors of a perfect sensor, and the misfit says so
+    answer = HiddenStates().estimate(shape, tool.total_mass, trials, seed=0)
+    # particles depart from a mesh by more than the errors of a perfect sensor, which shows as a misfit
     assert answer.status in ("ok", "unexplained")
     assert nad(tool, answer) < 0.005

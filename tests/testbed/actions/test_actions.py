@@ -208,7 +208,7 @@ def test_distance_is_the_integral_of_the_rate_and_that_is_as_stated(action):
 @pytest.mark.parametrize("action", [*PATHS, Push.into(faces(SHAPE)[2], 0.4, 0.2, 5.0), Lift(1)], ids=str)
 def test_between_ticks_a_tool_path_is_that_of_finer_ticks_and_its_rate_is_the_derivative(action):
     path, fine = (action.tool_path(SHAPE, np.array([0.4, 0.1, 0.3]), step) for step in (0.01, 0.001))
-    times = np.arange(1, len(fine.segment), 37) * 0.001
+    times = np.arange(1, len(fine.segment), 101) * 0.001
     poses, rates = (np.array(each) for each in zip(*map(fine.at, times), strict=True))
     ahead, behind = (np.array([fine.at(t + d)[0] for t in times]) for d in (5e-4, -5e-4))
     assert_allclose((ahead - behind) / 1e-3, rates, atol=2e-3)
@@ -285,10 +285,10 @@ def path_of(action: TableAction, shape: ObjectShape) -> PlanarPath:
     return action.centered_path(shape, action.profile(0.01).length)
 
 
-def beyond(action: TableAction, shape: ObjectShape, parts: int = 2001) -> np.ndarray:
+def beyond(action: TableAction, shape: ObjectShape, parts: int = 1001) -> np.ndarray:
     """Overhang of the corners of all cells past each edge, by sampling the path, (4,)."""
     half = shape.cell / 2 * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    corners = (shape.particles[:, None] + half).reshape(-1, 2)
+    corners = np.unique((shape.particles[:, None] + half).reshape(-1, 2).round(9), axis=0)
     poses = path_of(action, shape).object_pose(np.linspace(-0.5, 0.5, parts))
     places = transform_point(poses[:, None], corners).reshape(-1, 2)
     return np.concatenate([places.max(axis=0) - HIGH, LOW - places.min(axis=0)])

@@ -21,6 +21,7 @@ from scenarios.study.meshes import with_meshes
 from scenarios.study.run import _asked_again
 from testbed import HeftError, InfeasibleTrialError, Push, load_object
 from tests.helpers.commands import ended, refusal
+from tests.helpers.meshes import box, together
 from tests.helpers.runs import quiet
 
 PARTS = ((0.04, 0.10, 0.03), (0.0, 0.0, 0.0), 0.45), ((0.22, 0.03, 0.03), (0.13, 0.0, 0.0), 0.08)
@@ -28,6 +29,7 @@ PARTS = ((0.04, 0.10, 0.03), (0.0, 0.0, 0.0), 0.45), ((0.22, 0.03, 0.03), (0.13,
 SCENARIO = """
 support = ["rigid"]
 [meshes]
+mass_kg = 0.1                  # of a mesh without notes
 [policy]
 pivots = 2
 duration = 4.0
@@ -42,9 +44,7 @@ def data(tmp_path: Path) -> Path:
     """A set of one mallet, in millimeters as the public one, beside what its notes say."""
     boxes, sums, about = [], np.zeros(4), np.zeros((3, 3))
     for place, (size, middle, mass) in enumerate(PARTS):
-        made = trimesh.creation.box(size)
-        made.visual = trimesh.visual.ColorVisuals(made, face_colors=[[200, 30, 30, 255], [90, 90, 90, 255]][place])
-        boxes.append(made.apply_translation(middle))
+        boxes.append(box(size, middle, [[200, 30, 30, 255], [90, 90, 90, 255]][place]))
         sides, at = np.array(size), np.array(middle)
         sums += mass * np.array([1, *at])
         about += mass * (np.diag((sides**2).sum() - sides**2) / 12 + at @ at * np.eye(3) - np.outer(at, at))
@@ -52,9 +52,7 @@ def data(tmp_path: Path) -> Path:
     about -= total * (center @ center * np.eye(3) - np.outer(center, center))
     folder = tmp_path / "set" / "Mallet"
     folder.mkdir(parents=True)
-    whole = trimesh.util.concatenate(boxes)
-    assert isinstance(whole, trimesh.Trimesh)
-    whole.apply_scale(1e3).export(folder / "mesh.ply")
+    together(*boxes).apply_scale(1e3).export(folder / "mesh.ply")
     notes = f"OBJECT:\n  MASS: {total}\n  COM_WRT_MESH: {center.tolist()}\n  INERTIA_WRT_COM: {about.tolist()}\n"
     (folder / "Inertia.yaml").write_text(notes, encoding="utf-8")
     return tmp_path / "set"
@@ -108,33 +106,26 @@ def test_data_are_refused_where_a_scenario_has_no_meshes(data: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_set_is_felt_and_estimated(data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    monkeypatch.chdir(data.parent)
-    Path("mine.toml").write_text(SCENARIO, encoding="utf-8")
-    assert ended("run", "mine.toml", "--data", "set", "--workers", "0", "--out", "out") == 0
-    (row,) = load_results("out").to_dict("records")
-    assert row["object"] == "Mallet" and row["com_error_m"] < 1e-3 and abs(row["inertia_error"]) < 0.05
-    assert "2 parts by colours" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_what_no_hand_can_grip_is_pushed_where_the_scenario_says_so(data: Path, monkeypatch: pytest.MonkeyPatch):
-    """A plate of 3 mm beside a mallet is felt by its edge; the mallet is turned as before."""
+def test_a_set_is_estimated_and_what_no_hand_can_grip_is_pushed_where_the_scenario_says_so(
+    data: Path, monkeypatch, capsys
+):
+    """A mallet is turned with and without pushes; a plate of 3 mm beside it is pushed at its edge."""
     monkeypatch.chdir(data.parent)
     (data / "Plate").mkdir()
     trimesh.creation.box((160, 50, 3)).export(data / "Plate" / "mesh.ply")
-    text = SCENARIO.replace("[meshes]", "[meshes]\nmass_kg = 0.1")
-    for name, more in (("gripped", ""), ("pushed", "pushes = 3\n")):
-        Path(f"{name}.toml").write_text(text.replace("[methods", f"{more}[methods"), encoding="utf-8")
+    for name, pushes in (("gripped", ""), ("pushed", "pushes = 3\n")):
+        Path(f"{name}.toml").write_text(SCENARIO.replace("[methods", f"{pushes}[methods"), encoding="utf-8")
         done = ended("run", f"{name}.toml", "--data", "set", "--workers", "0", "--out", name) == 0
-        assert done == bool(more)  # without pushes not all of it was done
+        assert done == bool(pushes)  # without pushes not all of it was done
+        assert "2 parts by colours" in capsys.readouterr().out
     before, after = (load_results(name).set_index("object") for name in ("gripped", "pushed"))
+    assert before.com_error_m["Mallet"] < 1e-3 and abs(before.inertia_error["Mallet"]) < 0.05
     assert before.status["Plate"] == "infeasible"
     assert after.status["Plate"] in ("ok", "underdetermined"), after.message["Plate"]
     assert after.com_error_m["Plate"] < 5e-3 and after.com_error_m["Mallet"] == before.com_error_m["Mallet"]
 
 
-def test_objects_that_nobody_can_grip_are_pushed(tmp_path):
+def test_objects_without_a_grasp_are_pushed(tmp_path):
     _, scenario = load_scenario("push")
     found, left_out = experiments_of(scenario.model_copy(update={"random": []}), Store(tmp_path), quiet)
     assert not left_out and {e.model.name for e in found} == {"rectangle_2x3", "rectangle_3x3"}

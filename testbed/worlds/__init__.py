@@ -1,1 +1,1 @@
-"""Worlds: how far a lab is from the estimators' model of it, drawn for each object and trial, and what is stated."""
+"""Worlds: errors of a lab relative to the estimators' model, drawn for each object and trial, and those stated."""

@@ -23,12 +23,12 @@ from testbed.worlds.surface import Surface
 
 @dataclass(frozen=True)
 class WorldDraw:
-    """One draw of a world. Each quantity has a stream of its own: another one's size leaves it as it is."""
+    """One draw of a world. Every quantity has its own random stream, which the sizes of others do not change."""
 
     world: World
     """Sizes of the errors."""
     seed: int
-    """Seed, derived from a secret: it is as good as the draw itself."""
+    """Seed, derived from a secret; it determines the draw."""
 
     @classmethod
     def of(cls, world: World, model: ObjectModel, seed: int | str, secret: str | None = None) -> Self:
@@ -38,7 +38,7 @@ class WorldDraw:
             world: sizes of the errors.
             model: the object.
             seed: number of the draw.
-            secret: text from which the draws are seeded; a fresh one if left out, so that no draw comes twice.
+            secret: text from which the draws are seeded; a fresh one if left out, so that no draw repeats.
         """
         return cls(world, seed_of(new_secret() if secret is None else secret, "world", seed, model.name))
 
@@ -52,11 +52,11 @@ class WorldDraw:
 
     @property
     def provenance(self) -> dict[str, str]:
-        """Entry of a clean record; `draw_sensing` and `blinded` take it away."""
+        """Entry of a clean record, which `draw_sensing` and `blinded` remove."""
         return {"world": json.dumps(asdict(self))}
 
     def request(self, model: ObjectModel) -> dict[str, Any]:
-        """All that decides the errors of an object's trials, as plain data: a kind that it cannot have is left out."""
+        """Settings that decide the errors of an object's trials, as plain data, without those that it cannot have."""
         shape, content = model.shape, asdict(self)
         sized = {name: described.sized(shape.n_m, len(shape.feet)) for name, described in PARAMETERS.items()}
         content["world"] = {
@@ -76,7 +76,7 @@ class WorldDraw:
         return getattr(self.world, quantity) * self.rng(quantity, action).standard_normal(count)
 
     def true_object(self, nominal: ObjectModel) -> ObjectModel:
-        """The object with its mass groups where they truly are; its grasps stay, since the pads find the faces."""
+        """Object with its mass groups at their true places; grasps stay, since the pads close on the faces."""
         if not self.world.particle_offset:
             return nominal
         shape = nominal.shape
@@ -102,7 +102,7 @@ class WorldDraw:
 
     @property
     def surface(self) -> Surface | None:
-        """Friction by place and speed; None where it is the same everywhere."""
+        """Friction by place and speed; None if it is constant."""
         if not (self.world.place_friction or self.world.speed_friction):
             return None
         decade = self.normal("speed_friction", 1)[0]
@@ -115,11 +115,11 @@ class WorldDraw:
         return Rotation.from_rotvec(tilt).apply([0.0, 0.0, -GRAVITY])
 
     def grasp(self, nominal: Grasp, action: Action) -> Grasp:
-        """The grasp where the pads truly hold the object in a trial."""
+        """True grasp of the pads on the object in a trial."""
         offset = rotation_2d(nominal.angle) @ self.normal("grasp_offset", 2, action)
         turn = self.normal("grasp_angle", 1, action)[0]
         return replace(nominal, position=nominal.position + offset, angle=nominal.angle + turn)
 
     def start(self, action: Action) -> Float[np.ndarray, "3"]:
-        """Shift of a trial's place on the table [m, m, rad]."""
+        """Shift of the start of a trial on the table [m, m, rad]."""
         return np.append(self.normal("start_offset", 2, action), self.normal("start_angle", 1, action))

@@ -15,9 +15,11 @@ LEAST_FRICTION = 1e-5
 RING = 8
 """Points of a ring."""
 HARD = 10.0
-"""Stiffness of a rigid body's point of contact over that of a foot: a narrow body would roll over soft ones."""
+"""Stiffness of a rigid body's point of contact over that of a foot: on soft ones a narrow body would roll."""
 _TRIES = 200
+"""Patterns that are drawn, at most."""
 _LEAST_SHARE = 0.3
+"""Least load of a foot of an accepted pattern, as a part of an even share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,7 @@ class Feet:
     height: Float[np.ndarray, "F"]
     """Height by which a foot stands out [m]."""
     stiffness: Float[np.ndarray, "F"]
-    """Stiffness over that of a foot under a particle; the feet of a group share that of its particles."""
+    """Stiffness relative to a foot under a particle; the feet of a group share that of its particles."""
     friction: Float[np.ndarray, "F 2"]
     """Coefficient of friction along x and y of the table."""
 
@@ -41,7 +43,7 @@ class Feet:
 
     @staticmethod
     def of(model: ObjectModel) -> Feet:
-        """A foot under each particle in contact, as the estimators assume; a rigid body's point of contact is hard.
+        """Feet under all particles in contact, as the estimators assume; a rigid body's points of contact are hard.
 
         Known feet of a group carry its weight about its own center of mass.
         """
@@ -56,12 +58,13 @@ class Feet:
 
     @staticmethod
     def known(model: ObjectModel, offset: Float[np.ndarray, "F 2"], uneven: Float[np.ndarray, "F"]) -> Feet:
-        """Feet of known places, each group's with its weight about its own center of mass.
+        """Feet of known places; those of a group carry its weight about its own center of mass.
 
         Args:
             model: an object that stands on feet.
             offset: distance of each foot from its place [m].
-            uneven: load of each foot beyond an even share, as a part of it, as far as balance leaves it open.
+            uneven: deviation of each foot's load from an even share, as a part of it; the part of it that would move or
+                tilt the load is removed.
         """
         shape = model.shape
         position, stiffness = shape.particles[shape.feet] + offset, np.ones(len(shape.feet))
@@ -77,9 +80,9 @@ class Feet:
     def drawn(model: ObjectModel, points: int, rng: np.random.Generator) -> Feet:
         """A few points anywhere under each mass group: `points` or one fewer, or a ring.
 
-        The feet of a group carry its weight about its own center of mass on level ground, none of them less than a
-        third of an even share, where such points are found: else its neighbors would hold it. A body on known points of
-        contact stays on them, harder on some than on others.
+        The feet of a group carry its weight about its own center of mass on level ground, each at least `_LEAST_SHARE`
+        of an even share if such points are found, so that no neighbor holds the group. A body on known points of
+        contact keeps them, with random stiffnesses.
         """
         shape, parts = model.shape, []
         if shape.is_contact.any():
@@ -97,7 +100,7 @@ class Feet:
 
 
 def _friction(model: ObjectModel, particle: Int[np.ndarray, "F"]) -> Float[np.ndarray, "F 2"]:
-    """Coefficient of friction under each of some particles, along x and y."""
+    """Coefficients of friction under particles along x and y, (F, 2)."""
     friction = np.maximum(model.truth.friction[model.shape.friction_group[particle]], LEAST_FRICTION)
     return np.column_stack([friction, friction])
 

@@ -1,4 +1,4 @@
-"""Errors of arm and sensor in a world, on a clean record; noise, bias and drift are drawn on it afterwards."""
+"""Errors of arm and sensor in a world, applied to a clean record; noise, bias and drift are added afterwards."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from testbed.worlds.draw import WorldDraw
 from testbed.worlds.parameters import FULL_SCALE
 
 REACH = 0.5
-"""Lever from the arm's base to the TCP by which an encoder's noise moves it [m]."""
+"""Lever from the base of the arm to the TCP, at which noise of an encoder moves the TCP [m]."""
 _POSES = ("object_pose", "object_velocity", "tcp_position", "tcp_velocity", "sensor_orientation", "joint_position")
 
 
 def as_measured(clean: Trajectory, draw: WorldDraw) -> Trajectory:
-    """The record of a clean trial by arm and sensor as they are."""
+    """Record of a clean trial with the errors of arm and sensor, before noise, bias and drift."""
     assert clean.tool is not None
     wrench = rotate_wrench(mounting(draw), clean.sensor_wrench) @ response(draw).T
     wrench = _filtered(wrench, clean.time_s, draw.world.low_pass)
@@ -37,25 +37,25 @@ def as_measured(clean: Trajectory, draw: WorldDraw) -> Trajectory:
 
 
 def mounting(draw: WorldDraw) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the sensor's stated axes to its true ones, as it reads in them."""
+    """Rotation from the stated axes of the sensor to its true ones."""
     return Rotation.from_rotvec(draw.normal("mounting_angle", 3)).as_matrix()
 
 
 def response(draw: WorldDraw) -> Float[np.ndarray, "6 6"]:
-    """Reading of each axis of the sensor by a wrench in its axes."""
-    other = draw.normal("crosstalk", 36).reshape(6, 6) * np.outer(FULL_SCALE, 1 / FULL_SCALE)
-    np.fill_diagonal(other, 1 + draw.normal("gain", 6))
-    return other
+    """Matrix from a wrench in the sensor's axes to its reading: gains and cross-talk, (6, 6)."""
+    matrix = draw.normal("crosstalk", 36).reshape(6, 6) * np.outer(FULL_SCALE, 1 / FULL_SCALE)
+    np.fill_diagonal(matrix, 1 + draw.normal("gain", 6))
+    return matrix
 
 
 def true_sensing(stated: Sensing, draw: WorldDraw) -> Sensing:
-    """A sensor whose bias and drift are not the stated ones."""
+    """Sensor with true bias and drift other than the stated ones."""
     bias, drift = draw.world.zero_factor ** draw.rng("zero_factor").uniform(-1, 1, 2)
     return replace(stated, true_bias=stated.true_bias * bias, true_drift=stated.true_drift * drift)
 
 
 def rounded(wrench: Float[np.ndarray, "T 6"], draw: WorldDraw) -> Float[np.ndarray, "T 6"]:
-    """Wrench in whole steps of the sensor's resolution."""
+    """Wrench rounded to the resolution of the sensor, (T, 6)."""
     found = np.array(wrench)
     for axes, step in ((slice(0, 3), draw.world.force_resolution), (slice(3, 6), draw.world.torque_resolution)):
         if step:
@@ -64,7 +64,7 @@ def rounded(wrench: Float[np.ndarray, "T 6"], draw: WorldDraw) -> Float[np.ndarr
 
 
 def _filtered(wrench: np.ndarray, time: np.ndarray, constant: float) -> np.ndarray:
-    """Wrench behind a filter of first order, which has settled at the first sample."""
+    """Wrench after a first-order low-pass filter, in steady state at the first sample."""
     if not constant:
         return wrench
     keep = np.exp(-float(np.median(np.diff(time))) / constant)
@@ -72,7 +72,7 @@ def _filtered(wrench: np.ndarray, time: np.ndarray, constant: float) -> np.ndarr
 
 
 def _by_stated_tcp(clean: Trajectory, draw: WorldDraw) -> Trajectory:
-    """Record with the TCP, and the object by it, where the arm takes them to be."""
+    """Record with TCP and object at the poses that follow from the stated TCP."""
     offset, turn = draw.normal("tcp_offset", 3), draw.normal("tcp_angle", 1)[0]
     if not (offset.any() or turn):
         return clean
@@ -87,12 +87,12 @@ def _by_stated_tcp(clean: Trajectory, draw: WorldDraw) -> Trajectory:
 
 
 def _late_and_noisy(record: Trajectory, draw: WorldDraw) -> Trajectory:
-    """Record whose poses are late, with the encoders' noise."""
+    """Record with delayed poses and noise of the encoders."""
     time, world = record.time_s, draw.world
     series = {name: np.array(getattr(record, name)) for name in _POSES}
     if world.delay:
-        then = time - world.delay * draw.rng("delay").uniform()
-        series = {name: interpolated(then, time, values) for name, values in series.items()}
+        delayed = time - world.delay * draw.rng("delay").uniform()
+        series = {name: interpolated(delayed, time, values) for name, values in series.items()}
         series["sensor_orientation"] /= np.linalg.norm(series["sensor_orientation"], axis=1, keepdims=True)
     noise = draw.normal("encoder_noise", 10 * len(time), record.action).reshape(-1, 10)
     place = REACH * noise[:, :2]

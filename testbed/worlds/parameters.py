@@ -1,4 +1,4 @@
-"""Parameters of a setup that can err: what a world draws, a lab states and a diagnosis names, each said once."""
+"""Errors of a setup as parameters: drawn by a world, stated by a lab and named by a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ FULL_SCALE = np.repeat([300.0, 30.0], 3)
 """Full scale of a wrist sensor's axes [N, N m], that of the FT-300S: cross-talk is a part of it."""
 Scope = Literal["object", "setup", "trial", "sample"]
 _MOST = {"": 1.0, "m": 0.1, "rad": 0.3, "s": 1.0, "kg": 1.0, "N": 10.0, "N m": 1.0}
-"""Largest size of an error by its unit: above it, one was stated in mm, degrees, ms or g. Ours."""
+"""Largest size of an error by its unit; a larger one is likely in mm, degrees, ms or g. Ours."""
 _SHOWN = {"": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "s": (1e3, "ms"), "kg": (1e3, "g")}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Something of a setup that can err. Its name, meaning and size are those of the field that it describes."""
+    """One error of a setup. Its name, meaning and size are those of the field that it describes."""
 
     unit: str = ""
-    """SI unit; empty of a part of something."""
+    """SI unit; empty for a ratio."""
     shape: tuple[int | str, ...] = ()
     """Shape of one draw; "groups" is the number of mass groups, "feet" that of feet of known places."""
     scope: Scope = "setup"
     """Extent of one draw: an object, the whole setup, a trial, or a sample."""
     shows: tuple[str, ...] = ()
-    """Measurements that it changes in the forward model: `table`, `air`, or the `reading` of the sensor in both."""
+    """Measurements of the forward model that it affects: `table`, `air`, or the `reading` of the sensor in both."""
     source: str = ""
-    """Source of error that it belongs to, for a budget of them; empty if no simulation draws it."""
+    """Source of error in a budget; empty if no simulation draws it."""
     likely: float = 0.0
-    """Standard deviation by which it is tried as the cause of a misfit where none is stated; 0: it is not tried."""
+    """Standard deviation with which it is tested as the cause of a misfit if none is stated; 0: not tested."""
     cause: str = ""
-    """Meaning where it explains a misfit, and the remedy."""
+    """Message if it explains a misfit: cause and remedy."""
     least: float = 0.0
-    """Least value, which is that of an exact setup."""
+    """Least value, that of an exact setup."""
     most: float | None = None
     """Greatest value; None is that of its unit."""
     shown: tuple[float, str] | None = None
@@ -61,9 +61,9 @@ class Parameter:
         return f"{factor * size:.2g} {unit}"
 
 
-def parameter(least: float = 0.0, *, default: float | None = None, **said: Any) -> Any:
-    """Field of a dataclass that a `Parameter` of such fields describes; exact, if no other default is given."""
-    described = Parameter(least=least, **said)
+def parameter(least: float = 0.0, *, default: float | None = None, **settings: Any) -> Any:
+    """Field of a dataclass, described by a `Parameter` with these settings; its default is exact if left out."""
+    described = Parameter(least=least, **settings)
     return field(default=least if default is None else default, metadata={"parameter": described})
 
 

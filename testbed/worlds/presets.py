@@ -1,4 +1,4 @@
-"""Worlds by name: how far table, object, arm and sensor are from the model of them; docs/worlds.md has the sources."""
+"""Worlds by name: errors of table, object, arm and sensor relative to their models; sources are in docs/worlds.md."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 class World(SetupErrors):
     """Errors of a world, SI units: standard deviations unless a field says otherwise; 0 is exact.
 
-    Draws are hidden from every method and policy, which are given `stated`. `delay` is the greatest time, drawn evenly
-    from 0; of `contact_points` a group has as many, one fewer, or 8 in a ring.
+    Draws are hidden from every method and policy, which have `stated` only. `delay` is the greatest delay, drawn
+    uniformly from 0. A group has `contact_points` points, one fewer, or a ring of 8.
     """
 
     name: str = "ideal"
@@ -55,7 +55,7 @@ class World(SetupErrors):
         return SetupErrors(**common | {"delay": self.delay / math.sqrt(3)})  # drawn evenly from 0 to `delay`
 
     def only(self, source: str) -> World:
-        """The world in which nothing but one source of error, or one quantity, errs.
+        """World with the errors of a single source, or a single quantity.
 
         Raises:
             InvalidValueError: no such source or quantity.
@@ -68,12 +68,12 @@ class World(SetupErrors):
 
 
 QUANTITIES = {name: each for name, each in parameters_of(World).items() if each.source}
-"""Quantities of a world, by name: all that a simulation draws."""
+"""Quantities of a world that a simulation draws, by name."""
 SOURCES: dict[str, tuple[str, ...]] = {
     source: tuple(name for name, each in QUANTITIES.items() if each.source == source)
     for source in dict.fromkeys(each.source for each in QUANTITIES.values())
 }
-"""Quantities of each source of error, for a budget of them."""
+"""Quantities of each source of error, for an error budget."""
 
 _LAB = World(
     name="lab",
@@ -156,11 +156,11 @@ UNSTATED = SetupErrors(
     tool_com=0.0006,
     scale=0.002,
 )
-"""Errors of a setup of which nothing is stated: about half of those of a lab. Ours; `preset = "ideal"` states none."""
+"""Errors of a setup that states none, about half of those of a lab. Ours; with `preset = "ideal"` it is exact."""
 
 
 def stated_setup(table: Any) -> Any:
-    """Setup of a [setup] table: the errors that a world of that `preset` states, any of them changed by name.
+    """Setup of a [setup] table: the errors that the world `preset` states, replaced by those given by name.
 
     Without a preset, errors that are not named have the sizes of `UNSTATED`.
 
@@ -182,7 +182,7 @@ StatedSetup = Annotated[SetupErrors, BeforeValidator(stated_setup)]
 
 
 def world(name: str, field: str = "world") -> World:
-    """World by name; `field` is what to call the name in an error.
+    """World by name; `field` names it in an error.
 
     Raises:
         InvalidValueError: no such world.

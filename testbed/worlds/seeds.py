@@ -1,4 +1,4 @@
-"""Seeds of random draws, derived from a secret: an estimator that knows all names of a draw cannot repeat it."""
+"""Seeds of random draws, derived from a secret, so that an estimator cannot repeat a draw from its names."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ def new_secret() -> str:
 
 
 def seed_of(secret: str, *names: object) -> int:
-    """Seed of the draw with these names, a 64-bit integer; without a secret ("") everybody can compute it."""
+    """Seed of the draw with these names, a 64-bit integer; without a secret ("") the names determine it."""
     text = "/".join(map(str, (secret, *names) if secret else names))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

@@ -1,4 +1,4 @@
-"""Stated errors of a setup: what a lab says of its table, grasp, arm and sensor, beside the sensor's data sheet."""
+"""Errors of a setup that a lab states: table, grasp, arm and sensor, beside the sensor's data sheet."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from testbed.worlds.parameters import parameter, parameters_of
 
 @dataclass(frozen=True, kw_only=True)
 class SetupErrors:
-    """Standard deviations of a setup as stated, SI units; 0 is exact. What was drawn for a trial is never in it.
+    """Stated standard deviations of a setup, SI units; 0 is exact. The values drawn for a trial are not part of it.
 
-    Of an estimate, a contact error belongs to an object, a grasp error to a trial, and all others to the whole setup.
+    In an estimate, contact errors belong to an object, grasp errors to a trial, and all others to the whole setup.
     """
 
     contact_points: float = parameter(
@@ -77,7 +77,7 @@ class SetupErrors:
         likely=0.03,
         cause="friction changes with speed: turn at one speed, or state `speed_friction`",
     )
-    """Change of friction with a tenfold speed, as a part of itself."""
+    """Change of friction with a tenfold speed, as a part of it."""
     friction_law: float = parameter(
         shows=("table",),
         shape=(3,),
@@ -144,7 +144,7 @@ class SetupErrors:
     gain: float = parameter(
         shows=("reading",), source="gain", shape=(6,), likely=0.015, cause="the sensor's gain is off: calibrate it"
     )
-    """Gain of each axis of the sensor, as a part of itself."""
+    """Gain error of each axis of the sensor, as a part of the gain."""
     crosstalk: float = parameter(
         shows=("reading",),
         source="cross-talk",
@@ -152,7 +152,7 @@ class SetupErrors:
         likely=0.01,
         cause="the sensor's axes feed into each other: calibrate it",
     )
-    """Signal of an axis that shows in each other, as a part of it, both over their full scales."""
+    """Signal of each axis in the reading of another, as a part of it, both relative to their full scales."""
     mounting_angle: float = parameter(
         shows=("reading",),
         source="mounting",
@@ -165,11 +165,11 @@ class SetupErrors:
     delay: float = parameter(
         shows=("reading",), source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks"
     )
-    """Time by which poses are later than wrenches [s]."""
+    """Delay of poses behind wrenches [s]."""
     tool_mass: float = parameter(shows=("air",), source="tool, scale", unit="kg")
-    """Mass of the tool, which shows where it is tilted [kg]."""
+    """Mass of the tool, which affects the wrench when it is tilted [kg]."""
     tool_com: float = parameter(shows=("air",), source="tool, scale", unit="m", shape=(3,))
-    """Center of mass of the tool along each axis, which shows there too [m]."""
+    """Center of mass of the tool along each axis, likewise [m]."""
     scale: float = parameter(source="tool, scale", unit="kg")
     """Reading of the scale, beside the sensor's own error [kg]."""
 
@@ -179,7 +179,7 @@ class SetupErrors:
 
     @staticmethod
     def largest(setups: Sequence[SetupErrors]) -> SetupErrors:
-        """The largest error of each kind among some setups; none without setups."""
+        """Setup with the largest error of each kind among `setups`; an exact one without any."""
         if len(set(setups)) < 2:
             return setups[0] if setups else EXACT_SETUP
         return SetupErrors(**{name: max(getattr(each, name) for each in setups) for name in PARAMETERS})
@@ -195,7 +195,7 @@ class SetupErrors:
 
     @property
     def none(self) -> bool:
-        """True if nothing in it errs."""
+        """True for a setup without errors."""
         return all(getattr(self, name) == each.least for name, each in parameters_of(type(self)).items())
 
 
@@ -204,4 +204,4 @@ PARAMETERS = parameters_of(SetupErrors)
 EXACT_SETUP = SetupErrors()
 """Setup without errors."""
 LIKELY = SetupErrors(**{name: described.likely for name, described in PARAMETERS.items()})
-"""Errors that a setup may have though it states none: the widths at which causes of a misfit are compared."""
+"""Errors that a setup may have without stating them, for the comparison of causes of a misfit."""

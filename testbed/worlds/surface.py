@@ -21,14 +21,14 @@ _LEAST = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Friction over its mean, by place and by speed."""
+    """Friction relative to its mean, by place and by speed."""
 
     wave: Float[np.ndarray, "K 2"]
     """Wave vectors of the field [rad/m]."""
     phase: Float[np.ndarray, "K"]
     """Phases of its waves [rad]."""
     amplitude: float
-    """Amplitude of each wave, as a part of the mean."""
+    """Amplitude of each wave, as a part of the mean friction."""
     decade: float
     """Change of friction with a tenfold speed, as a part of it."""
 
@@ -37,13 +37,13 @@ class Surface:
 
     @staticmethod
     def drawn(place: float, decade: float, rng: np.random.Generator) -> Surface:
-        """A smooth field of standard deviation `place`, and a change with speed."""
+        """Surface with a smooth random field of standard deviation `place`, and a change with speed."""
         length, way = rng.uniform(*WAVELENGTH, WAVES), rng.uniform(0, 2 * np.pi, WAVES)
         wave = 2 * np.pi / length[:, None] * np.column_stack([np.cos(way), np.sin(way)])
         return Surface(wave, rng.uniform(0, 2 * np.pi, WAVES), place * (2 / WAVES) ** 0.5, decade)
 
     def factor(self, position: Float[np.ndarray, "F 2"], speed: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-        """Friction of feet over its mean, at positions [m], world, and speeds [m/s]."""
+        """Friction of feet relative to its mean, at positions [m], world, and speeds [m/s], (F,)."""
         field = 1 + self.amplitude * np.cos(position @ self.wave.T + self.phase).sum(axis=1)
         decades = np.log10(np.clip(speed, *_SPEEDS) / REFERENCE_SPEED)
         return np.maximum(field * (1 + self.decade * decades), _LEAST)

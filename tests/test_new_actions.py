@@ -1,6 +1,5 @@
 """Actions defined here alone go through simulation, robot, files, logs, planning, estimates and figures."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar
@@ -84,12 +83,11 @@ KIND = pytest.mark.parametrize("kind", list(ACTIONS))
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Registered by their names in files, as `class Arc(TableAction, kind="arc")` would be for good."""
     for kind, cls in (("arc", Arc), ("bend", Bend)):
         monkeypatch.setitem(base.KINDS, kind, cls)
         monkeypatch.setattr(cls, "kind", kind)
-    yield
 
 
 @cache

@@ -28,15 +28,15 @@ STILL = Lift(1, tilt=0.0, hold=1.2)
 TOOL = 0.925
 """Mass of the gripper, kg."""
 SAG = 0.0025
-"""Greatest sag of the object between the pads [m]: the feet's felt, and the pads' give."""
+"""Greatest sag of the object between the pads [m]: compression of the felt under the feet and of the pads."""
 
 
-def felt_and_due(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Wrench of every stretch, what Newton and Euler ask for, (K, 6), and its change with the object's height, a m."""
+def measured_and_expected(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Wrench of every stretch, that of Newton and Euler, (K, 6), and its derivative in the height of the object."""
     windows = lift_windows(draw_sensing(RUNNER.run_clean(Trial(obj, action, RIGID)), preset("ideal"), 0))
     at = {"mass": torch.tensor(obj.truth.mass), "place": torch.zeros(3, dtype=torch.float64)}
-    due, slopes = Air.of_masses(obj.shape, windows).linearized(at)
-    return np.array([w.wrench for w in windows]), due.numpy(), slopes["place"][..., 2].numpy()
+    expected, slopes = Air.of_masses(obj.shape, windows).linearized(at)
+    return np.array([w.wrench for w in windows]), expected.numpy(), slopes["place"][..., 2].numpy()
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_it_goes_as_high_as_its_tilt_needs():
 
 
 @pytest.mark.parametrize(
-    ("obj", "action", "support", "said"),
+    ("obj", "action", "support", "reason"),
     [
         (load_object("L2"), Lift(2), OWN_WEIGHT, "support"),
         (load_object("L2"), Lift(2), Support(1e4), "support"),
@@ -108,17 +108,15 @@ def test_it_goes_as_high_as_its_tilt_needs():
         (load_object("L2"), Lift(2, acceleration=6.0), RIGID, "speed"),
     ],
 )
-def test_what_cannot_be_lifted_is_refused_before_moving(obj, action, support, said):
-    with pytest.raises(InfeasibleTrialError, match=f"^{said}"):
+def test_an_infeasible_lift_is_refused_before_it_moves(obj, action, support, reason):
+    with pytest.raises(InfeasibleTrialError, match=f"^{reason}"):
         RUNNER.check(Trial(obj, action, support))
 
 
 @pytest.mark.slow
 def test_a_runner_without_checks_lets_an_object_slip():
-    gentle, trial = (
-        SimulationSettings(grip=GripSettings(force=20.0)),
-        Trial(blocks(["1111"], [0.3] * 4), Lift(0, tilt=0.0), RIGID),
-    )
+    gentle = SimulationSettings(grip=GripSettings(force=20.0))
+    trial = Trial(blocks(["1111"], [0.3] * 4), Lift(0, tilt=0.0), RIGID)
     with pytest.raises(InfeasibleTrialError, match="grip"):
         SimulationRunner(gentle).run_clean(trial)
     slipped = SimulationRunner(gentle, refuses=False).run_clean(trial)
@@ -132,13 +130,13 @@ def test_a_lift_is_no_turn():
 
 
 @pytest.mark.parametrize("mass", [[0.5, 0.1, 0.3], [0.0005, 0.0003, 0.0004]])
-def test_held_still_an_object_weighs_what_it_weighs_where_it_does(mass):
-    """Next to no mass is the tool alone, compensated."""
+def test_at_rest_the_wrench_is_the_weight_at_the_center_of_mass(mass):
+    """An object of almost no mass leaves the tool alone, compensated."""
     obj = blocks(CORNER, mass)
-    felt, due, _ = felt_and_due(obj, STILL)
+    measured, expected, _ = measured_and_expected(obj, STILL)
     tolerance = max(0.005 * obj.total_mass, 5e-4 * TOOL) * GRAVITY
-    assert_allclose(felt[:, :3], due[:, :3], atol=tolerance)
-    assert_allclose(felt[:, 3:], due[:, 3:], atol=0.05 * tolerance)
+    assert_allclose(measured[:, :3], expected[:, :3], atol=tolerance)
+    assert_allclose(measured[:, 3:], expected[:, 3:], atol=0.05 * tolerance)
 
 
 @pytest.mark.slow
@@ -147,17 +145,17 @@ def test_held_still_an_object_weighs_what_it_weighs_where_it_does(mass):
 def test_tilted_and_rocked_the_wrench_is_newtons_and_eulers(name, make):
     obj = load_object(name) if name == "L2" else blocks(CORNER, [5e-4, 3e-4, 4e-4])
     action = make(2 if name == "L2" else 1)
-    felt, due, with_height = felt_and_due(obj, action)
-    low = with_height.ravel() @ (felt - due).ravel() / np.sum(with_height**2)
+    measured, expected, with_height = measured_and_expected(obj, action)
+    low = with_height.ravel() @ (measured - expected).ravel() / np.sum(with_height**2)
     assert abs(low) < SAG or name != "L2"
-    missing = felt - due - low * with_height
+    missing = measured - expected - low * with_height
     weight = (obj.total_mass + TOOL * math.sin(action.tilt)) * GRAVITY
     assert_allclose(missing[:, :3], 0, atol=0.005 * weight)
     assert_allclose(missing[:, 3:], 0, atol=0.005 * weight * 0.1)
 
 
 @pytest.mark.slow
-def test_a_lift_is_seen_in_space(tmp_path):
+def test_a_lift_is_shown_in_space(tmp_path):
     key = put_trial(tmp_path, "L2", Lift(2, tilt=0.1, swings=0, hold=0.1, height=0.12), RIGID)
     shown = trial_view(tmp_path, key, meshes=False)
     assert shown.title.startswith("L2: lift at A2")

@@ -72,14 +72,15 @@ def test_in_a_scene_it_rests_on_the_floor(name):
     assert np.abs(data.qpos - [0, 0, 0, 1, 0, 0, 0]).max() < 2e-3 and np.abs(data.qvel).max() < 1e-2
     assert_allclose(data.qfrc_constraint[2], obj.total_mass * GRAVITY, rtol=0.01)
     assert {float(contact.friction[0]) for contact in data.contact} == set(obj.truth.friction.tolist())
+    touching = {model.geom(geom).name for contact in data.contact for geom in contact.geom} - {"floor"}
+    assert touching <= {box.name for box in boxes_of(obj.shape, obj.truth) if box.friction is not None}
 
 
 @pytest.mark.parametrize("layout", [["010", "011"], ["110", "011", "000"]])
-def test_blocks_keep_their_names_beside_empty_columns_and_rows(layout, tmp_path):
+def test_blocks_keep_their_names_beside_empty_columns_and_rows(layout):
     cells = parse_layout(layout)
     given = blocks(layout, [0.1 * (k + 1) for k in range(len(cells))])
-    (tmp_path / "back.toml").write_text(to_object_file(exported(given)))
-    back = load_object(tmp_path / "back.toml")
+    back = load(to_object_file(exported(given)))
     assert dict(zip(back.shape.group_names, back.group_mass, strict=True)) == pytest.approx(
         dict(zip(given.shape.group_names, given.group_mass, strict=True))
     )
@@ -302,7 +303,7 @@ HALF = replace(FOLD.truth, mass=FOLD.truth.mass * [1, 1, 0, 0])
 
 
 @pytest.mark.parametrize(
-    ("write", "said"),
+    ("write", "message"),
     [
         (lambda: export_text(exported(load_object("L2")), "urdf", scene=True), "--scene"),
         (lambda: to_urdf(replace(exported(load_object("L2")), name="A1")), "A1"),
@@ -313,15 +314,14 @@ HALF = replace(FOLD.truth, mass=FOLD.truth.mass * [1, 1, 0, 0])
         (lambda: to_object_file(exported(MODELS["cut"])), "square blocks"),
     ],
 )
-def test_what_cannot_be_exported_is_refused(write, said: str):
-    with pytest.raises(InvalidValueError, match=said):
+def test_what_cannot_be_exported_is_refused(write, message: str):
+    with pytest.raises(InvalidValueError, match=message):
         write()
 
 
-@pytest.mark.parametrize("write", [to_mjcf, to_urdf])
 @pytest.mark.parametrize("model", [MODELS["hammer"], MODELS["on points"]], ids=["hammer", "on points"])
-def test_what_is_dropped_comes_to_rest_on_what_touches(model, write):
-    spec = mujoco.MjSpec.from_string(write(exported(model)).replace("</robot>", FREE.format(model.name)))
+def test_a_dropped_urdf_comes_to_rest_on_the_boxes_that_touch(model):
+    spec = mujoco.MjSpec.from_string(to_urdf(exported(model)).replace("</robot>", FREE.format(model.name)))
     spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1))
     for geom in spec.body(model.name).geoms:
         geom.contype = 2  # boxes that abut are one body: they do not meet
@@ -331,9 +331,8 @@ def test_what_is_dropped_comes_to_rest_on_what_touches(model, write):
     mujoco.mj_step(compiled, data, 1500)
     assert np.abs(data.qvel).max() < 1e-3
     assert abs(data.qpos[2]) < 5e-4 and 2 * np.linalg.norm(data.qpos[4:6]) < 0.01
-    touching = {compiled.geom(pair).name.removesuffix("_collision") for c in data.contact for pair in c.geom} - {
-        "table"
-    }
+    names = {compiled.geom(geom).name.removesuffix("_collision") for c in data.contact for geom in c.geom}
+    touching = names - {"table"}
     boxes = {box.name: box.friction is not None for box in boxes_of(model.shape, model.truth)}
     assert touching and all(boxes[name] for name in touching)
     weight = sum(_upward(compiled, data, index) for index in range(data.ncon))
@@ -437,7 +436,7 @@ def test_an_exported_estimate_dragged_in_heft_gives_the_wrench_of_the_estimate(t
     assert all(parameters(body).consistent for body in drawn)
     pytest.importorskip("rosbags", reason="needs the extra robot")
     moved = [t for t in keys_of(Path("out")) if kind_of_trial(Path("out"), t) in ("rotate", "accelerate")]
-    for trial in moved:
+    for trial in moved[:2]:
         main(["export", "out", trial, "--format", "mcap"])
     assert load_object(Path("out/exports/bar.toml")).group_mass == pytest.approx([0.3, 0.1, 0.2])
     mapping = f"out/exports/bar_{moved[0][:8]}.toml"

@@ -319,9 +319,10 @@ def test_what_cannot_be_exported_is_refused(write, message: str):
         write()
 
 
+@pytest.mark.parametrize("write", [to_mjcf, to_urdf])
 @pytest.mark.parametrize("model", [MODELS["hammer"], MODELS["on points"]], ids=["hammer", "on points"])
-def test_a_dropped_urdf_comes_to_rest_on_the_boxes_that_touch(model):
-    spec = mujoco.MjSpec.from_string(to_urdf(exported(model)).replace("</robot>", FREE.format(model.name)))
+def test_a_dropped_object_comes_to_rest_on_the_boxes_that_touch(model, write):
+    spec = mujoco.MjSpec.from_string(write(exported(model)).replace("</robot>", FREE.format(model.name)))
     spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1))
     for geom in spec.body(model.name).geoms:
         geom.contype = 2  # boxes that abut are one body: they do not meet

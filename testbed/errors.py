@@ -1,4 +1,4 @@
-"""Errors that say what was wrong, what was given and what is allowed."""
+"""Errors whose message has the field, the given value and the allowed values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 _LONGEST = 120
-"""Letters of a value in a message."""
+"""Greatest number of characters of a value in a message."""
 
 
 class HeftError(Exception):
@@ -22,8 +22,8 @@ class InvalidValueError(HeftError, ValueError):
     Args:
         field: name of the offending field.
         given: the value as given.
-        allowed: what would have been accepted.
-        file: the file the value came from, if any.
+        allowed: description of the allowed values.
+        file: the file of the value, if any.
     """
 
     def __init__(self, field: str, given: object, allowed: str, file: Path | str | None = None):
@@ -33,30 +33,30 @@ class InvalidValueError(HeftError, ValueError):
         super().__init__(f"{where}{short(field, str)}: got {short(shown)}; allowed: {allowed}")
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, object, str, Path | str | None]]:
-        """Arguments with which another process builds it again: an exception keeps its message alone."""
+        """Arguments for unpickling: by default an exception is rebuilt from its message alone."""
         return type(self), (self.field, self.given, self.allowed, self.file)
 
 
 class InfeasibleTrialError(HeftError):
-    """A trial that the robot cannot do, refused before anything moves. The message says why and what could be done."""
+    """A trial that the robot cannot do, refused before it moves. The message has the reason and a remedy."""
 
 
 def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str:
-    """Hint " (nearest: ...)" for a name that is nearly one of `names`, in any case; else empty."""
+    """Hint " (nearest: ...)" for a name that is similar to one of `names`, ignoring case; else empty."""
     folded = {known.casefold(): known for known in names}
     close = difflib.get_close_matches(name[:_LONGEST].casefold(), folded, n=1, cutoff=cutoff)
     return f" (nearest: {folded[close[0]]})" if close else ""
 
 
-def one_line(words: str) -> str:
-    """Words without line breaks."""
-    return " ".join(line.strip() for line in words.splitlines())
+def one_line(text: str) -> str:
+    """Text without line breaks."""
+    return " ".join(line.strip() for line in text.splitlines())
 
 
 def short(value: object, text: Callable[[object], str] = repr) -> str:
-    """A value for a message, cut where it is long."""
+    """Text of a value for a message, truncated if it is long."""
     try:
         words = one_line(text(value))
-    except ValueError:  # Python writes no integer of so many digits
+    except ValueError:  # Python limits the digits of an integer's text
         words = f"{type(value).__name__} with an integer of more than {sys.get_int_max_str_digits()} digits"
     return words if len(words) <= _LONGEST else words[: _LONGEST - 3] + "..."

@@ -1,7 +1,7 @@
-"""Files: found in a library or by path, read within bounds, written whole or not at all, and sealed by a checksum.
+"""Files: lookup by name or path, bounded reading, atomic writing, and checksums.
 
-A stored file holds its own checksum: the SHA-256 of all its bytes, the checksum itself taken as zeros. It shows damage,
-not forgery.
+A sealed file contains its own checksum: the SHA-256 of all its bytes, with zeros in place of the checksum. It detects
+damage, not forgery.
 """
 
 from __future__ import annotations
@@ -28,38 +28,40 @@ _MARK = b"heft-sha256:"
 _POINTER = b"version https://git-lfs"
 _PART = re.compile(r"\..+\.\d+\.part")
 UNSEALED = _MARK.decode() + "0" * 64
-"""Place for the checksum in what `write_sealed` is given to write: a field, an entry of metadata, a comment."""
+"""Placeholder of the checksum in a file for `write_sealed`: in a field, an entry of metadata, or a comment."""
 MOST_BYTES = 200 * 2**20
-"""Largest file that is read."""
+"""Largest size of a file that is read [B]."""
 MOST_VALUES = 20_000_000
-"""Values in the largest table that is read: a record of a quarter of an hour at 500 Hz, or a sweep of 400,000 rows."""
+"""Largest number of values of a table that is read: a record of 15 min at 500 Hz, or a sweep of 400,000 rows."""
 
 
 class DamagedFileError(HeftError):
-    """A stored file that is missing, is not as it was written, or is of another version of heft."""
+    """A stored file that is missing, was changed after it was written, or is of another version of heft."""
 
 
 class DamagedFileWarning(UserWarning):
-    """A damaged file that is left out, or made again."""
+    """A damaged file that is left out, or written again."""
 
 
-_usual_format = warnings.formatwarning
+_default_format = warnings.formatwarning
 
 
 def _format(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> str:
-    return f"heft: {message}\n" if category is DamagedFileWarning else _usual_format(message, category, *rest, **named)
+    return (
+        f"heft: {message}\n" if category is DamagedFileWarning else _default_format(message, category, *rest, **named)
+    )
 
 
 def print_damage_plainly() -> None:
-    """Let this process print warnings of damaged files as heft prints its errors, a line each."""
+    """Print this process's warnings of damaged files like heft's errors, one line each."""
     warnings.formatwarning = _format
 
 
 def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
-    """A library name ("L2") or a path to a TOML file, as a path.
+    """Path of a TOML file, from a name in a library ("L2") or a path.
 
     Raises:
-        InvalidValueError: no such name and no such file; the message lists the names and the nearest one.
+        InvalidValueError: no such name or file; the message lists the names and the nearest one.
     """
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text:
@@ -76,25 +78,25 @@ def find_file(name_or_path: str | Path, library: Path, what: str) -> Path:
 
 
 def library_names(library: Path) -> list[str]:
-    """Names that a library folder offers, sorted."""
+    """Names in a library folder, sorted."""
     return sorted(path.stem for path in library.glob("*.toml"))
 
 
 def write_whole(path: Path, write: Any) -> None:
-    """Write a file beside its place, sync and rename: a reader sees the old file, the new one, or none."""
+    """Write a file atomically: `write` writes a part file, which is synced and renamed to `path`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part, held = path.with_name(f".{path.name}.{os.getpid()}.part"), None
     try:
         part.unlink(missing_ok=True)
-        # made here: not every library says why it cannot open a file, and a link that lies in wait is not followed
+        # created here: not every library reports why it cannot open a file, and O_EXCL follows no link
         held = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         with suppress(OSError):  # a file system without locks
-            fcntl.flock(held, fcntl.LOCK_EX)  # until it is whole: `remove_leftovers` takes what is not locked
+            fcntl.flock(held, fcntl.LOCK_EX)  # `remove_leftovers` removes unlocked part files
         write(part)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(part, path)
-    except OSError as error:  # a full disk names no file, and the part file is ours alone
+    except OSError as error:  # a full disk names no file; the name of the part file is internal
         if error.errno is not None and error.filename in (None, str(part)):
             error.filename = str(path)
         raise
@@ -105,16 +107,16 @@ def write_whole(path: Path, write: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text as UTF-8, as `write_whole` does."""
+    """Write a text as UTF-8, atomically."""
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def remove_leftovers(folder: Path, depth: int = 0) -> None:
-    """Remove from a folder, and those in it to a depth, what writers that were killed have left, and nothing else."""
+    """Remove part files of killed writers from a folder, and from its subfolders to a depth."""
     try:
         with os.scandir(folder) as entries:
             found = list(entries)
-    except OSError:  # it is not there, or not ours
+    except OSError:  # missing or not readable
         return
     for entry in found:
         if depth and entry.is_dir(follow_symlinks=False):
@@ -126,19 +128,19 @@ def remove_leftovers(folder: Path, depth: int = 0) -> None:
 def _remove_unless_held(part: str) -> None:
     try:
         found = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:  # a link, or gone
+    except OSError:  # a link, or removed meanwhile
         return
     try:
         fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
         Path(part).unlink(missing_ok=True)
-    except OSError:  # somebody is writing it, or there is no telling
+    except OSError:  # locked by its writer, or a file system without locks
         pass
     finally:
         os.close(found)
 
 
 def write_sealed(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file as `write_whole` does, and fill in its checksum where `write` has put `UNSEALED` last."""
+    """Write a file atomically, with its checksum in place of the last `UNSEALED` that `write` has written."""
 
     def sealed(part: Path) -> None:
         write(part)
@@ -151,10 +153,10 @@ def write_sealed(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Content of a plain file of at most so many bytes.
+    """Content of a regular file of at most `most` bytes.
 
     Raises:
-        OSError: no file, one that cannot be read, a pipe or a device, or a larger one.
+        OSError: a file that is missing, unreadable or larger, a pipe, or a device.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     found = os.fstat(descriptor)
@@ -169,27 +171,27 @@ def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
 
 
 def refuse_pointer(path: Path, field: str) -> None:
-    """Refuse a file that stands for another in a repository.
+    """Refuse a Git LFS pointer in place of a file.
 
     Raises:
-        InvalidValueError: a pointer of Git LFS.
+        InvalidValueError: a Git LFS pointer.
     """
-    with suppress(OSError), path.open("rb") as file:  # who reads it says why it cannot be read
+    with suppress(OSError), path.open("rb") as file:  # an unreadable file is reported when it is read
         if file.read(len(_POINTER)) == _POINTER:
             allowed = "the file itself, not its Git LFS pointer; `git lfs pull` gets it"
             raise InvalidValueError(field, str(path), allowed)
 
 
 def load_sealed(path: Path, what: str, parse: Callable[[bytes], T]) -> T:
-    """A stored file as `parse` makes it of its bytes, once they are known to be those that were written.
+    """Parsed content of a sealed file, after a check of its checksum.
 
     Args:
         path: the file.
-        what: the kind of file, for the error.
-        parse: reader of its bytes.
+        what: kind of file, for the error.
+        parse: parser of the bytes.
 
     Raises:
-        DamagedFileError: missing, cut short, changed, or not what `parse` reads.
+        DamagedFileError: a file that is missing, truncated, changed, or refused by `parse`.
     """
     try:
         data = read_file(path)
@@ -203,7 +205,7 @@ def load_sealed(path: Path, what: str, parse: Callable[[bytes], T]) -> T:
         raise DamagedFileError(f"{path}: not a whole {what}: it is not as it was written (checksum)")
     try:
         return parse(data)
-    except Exception as error:  # of another version, or of somebody else: a parser may raise anything
+    except Exception as error:  # a file of another version or program: a parser may raise anything
         raise DamagedFileError(f"{path}: not a whole {what}: {error}") from None
 
 
@@ -211,7 +213,7 @@ def read_table(data: bytes) -> pa.Table:
     """Table of a Parquet file.
 
     Raises:
-        ValueError: not Parquet, or more than `MOST_VALUES` values, which may be packed into a few bytes.
+        ValueError: not Parquet, or more than `MOST_VALUES` values, which may be compressed to a few bytes.
     """
     import pyarrow as pa  # noqa: PLC0415  this module loads quickly
     import pyarrow.parquet as pq  # noqa: PLC0415
@@ -228,8 +230,8 @@ def write_table(path: Path, table: pa.Table, metadata: Mapping[str, str] | None 
 
     Args:
         path: the file.
-        table: the table; its own metadata are left out.
-        metadata: entries beside the checksum.
+        table: the table; its own metadata are dropped.
+        metadata: entries in addition to the checksum.
         options: options of `pyarrow.parquet.write_table`.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415  this module loads quickly
@@ -239,7 +241,7 @@ def write_table(path: Path, table: pa.Table, metadata: Mapping[str, str] | None 
 
 
 def unless_damaged(read: Callable[[], T], then: str) -> T | None:
-    """Result of reading; None if a file is damaged, with a warning that names it and the consequence."""
+    """Result of `read`; None and a warning if a file is damaged, with the consequence `then` in its message."""
     try:
         return read()
     except DamagedFileError as error:

@@ -1,4 +1,4 @@
-"""The table's force on every foot of a simulated object: for looking at a trial, never for estimating."""
+"""Forces of the table on the feet of a simulated object: for views of a trial, not for estimators."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _AXES = ("fx_N", "fy_N", "fz_N")
 
 @dataclass(frozen=True, eq=False)
 class FootForces:
-    """N samples of F feet. No bench can measure them: a record of the real arm has none."""
+    """Forces on F feet at N samples. No bench can measure them: a record of the real arm has none."""
 
     time_s: Float[np.ndarray, "N"]
-    """s, on the trajectory's clock."""
+    """Time of each sample [s], on the trajectory's clock."""
     particle: Int[np.ndarray, "F"]
     """Particle over each foot."""
     force: Float[np.ndarray, "N F 3"]
@@ -37,7 +37,7 @@ class FootForces:
 
 
 def save_foot_forces(feet: FootForces, path: Path) -> None:
-    """Write as Parquet in single precision, a list of feet a sample, whole or not at all."""
+    """Write foot forces as Parquet in single precision, with a list of feet per sample, atomically."""
     count = len(feet.particle)
     lists = {
         axis: pa.FixedSizeListArray.from_arrays(pa.array(feet.force[:, :, i].astype(np.float32).ravel()), count)
@@ -53,7 +53,7 @@ def load_foot_forces(path: Path) -> FootForces:
     """Read foot forces back.
 
     Raises:
-        DamagedFileError: damaged.
+        DamagedFileError: a file that is missing or damaged.
     """
 
     def parsed(data: bytes) -> FootForces:

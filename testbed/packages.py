@@ -1,6 +1,6 @@
-"""heft's packages: public names that load their module on first use, and a check for another package of the same name.
+"""heft's packages: lazy public names, and a check for other packages with the same names.
 
-Standard library only, and fit for Python 3.8.
+Standard library only, compatible with Python 3.8.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PACKAGES = ("testbed", "estimators", "viz", "scenarios")
 
 
 def hidden_package() -> str | None:
-    """The first package of heft that another of its name hides, as a line for the user; None if all four are heft's."""
+    """Message for the first of heft's packages that another package of its name hides; None if there is none."""
     root = Path(__file__).resolve().parent.parent
     for name in PACKAGES:
         spec = find_spec(name)
@@ -31,7 +31,7 @@ def hidden_package() -> str | None:
 
 
 def lazy_names(package: str) -> Tuple[Callable[[str], Any], Callable[[], List[str]]]:  # noqa: UP006
-    """`__getattr__` and `__dir__` of a package that lists its public names once, in its `if TYPE_CHECKING` block."""
+    """`__getattr__` and `__dir__` of a package whose public names are the imports of its `if TYPE_CHECKING` block."""
     modules: Dict[str, str] = {}  # noqa: UP006
 
     def listed() -> Dict[str, str]:  # noqa: UP006

@@ -1,7 +1,7 @@
-"""Classes from outside the house: found by "package:Class" or by entry point, with nothing to register, and set up.
+"""Plugins: classes of other packages, found by "package:Class" or by entry point, and constructed from settings.
 
-A file may name such a class, but reading it imports nothing: `check_name` looks at the name alone. `find_class` imports
-from where this Python finds its modules; the current folder is one of these places only after `find_code_here`.
+A file may name such a class, but reading the file imports nothing: `check_name` checks the name alone. `find_class`
+imports from Python's search path, which contains the current folder only after `find_code_here`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _PATH = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 @dataclass(frozen=True)
 class Role(Generic[T]):
-    """A kind of class that others can bring: its protocol, and the entry points that name such classes."""
+    """Kind of plugin: its protocol, and its group of entry points."""
 
     protocol: str
-    """Import path of the protocol that it fulfils."""
+    """Import path of the protocol."""
     calls: tuple[str, ...]
-    """Methods of the protocol, as they are called."""
+    """Methods of the protocol with their arguments."""
     group: str
-    """Entry-point group of such classes."""
+    """Entry-point group of the classes."""
     example: str
-    """A path for error messages, "package:Class"."""
+    """Example of "package:Class" for error messages."""
 
 
 RUNNER: Role[TrialRunner] = Role(
@@ -57,12 +57,12 @@ RUNNER: Role[TrialRunner] = Role(
 
 
 def installed(role: Role[Any]) -> dict[str, str]:
-    """ "package:Class" of every installed class of a role, by its entry point's name."""
+    """Paths "package:Class" of the installed classes of a role, by the names of their entry points."""
     return {point.name: point.value for point in sorted(entry_points(group=role.group), key=lambda point: point.name)}
 
 
 def find_code_here() -> None:
-    """Let this Python, and the workers that it starts, find modules of the current folder: after all others."""
+    """Append the current folder to the search path of this Python and of the workers that it starts."""
     if not {"", os.getcwd()} & {*sys.path}:
         sys.path.append(os.getcwd())
 
@@ -73,14 +73,14 @@ def check_name(
     """Check that a class may have this name; nothing is imported.
 
     Args:
-        name: of an entry point, or "package.module:Class", as the user gave it.
-        role: what it is to be.
-        field: what to call it in an error.
-        known: names beside those of entry points, for the error.
-        also: what else is allowed, for the error.
+        name: name of an entry point, or "package.module:Class", as the user gave it.
+        role: role of the class.
+        field: field of the name in an error.
+        known: names other than those of entry points, for the error.
+        also: other allowed values, for the error.
 
     Raises:
-        InvalidValueError: neither.
+        InvalidValueError: neither a name of an entry point nor a path of a class.
     """
     if ":" in name:
         if not _PATH.fullmatch(name):
@@ -96,10 +96,10 @@ def check_name(
 def find_class(
     name: str, role: Role[T], field: str, known: Collection[str] = (), also: str = "or package:Class"
 ) -> type[T]:
-    """The class that a name or a path stands for; arguments as `check_name`.
+    """Import the class of a name or a path; arguments as for `check_name`.
 
     Raises:
-        InvalidValueError: what `check_name` or `load_class` says.
+        InvalidValueError: as `check_name` and `load_class`.
     """
     check_name(name, role, field, known, also)
     if ":" in name:
@@ -108,15 +108,15 @@ def find_class(
 
 
 def load_class(path: str, role: Role[T], field: str) -> type[T]:
-    """The class behind "package.module:Class", of a module that Python finds.
+    """Import the class of a path "package.module:Class".
 
     Args:
-        path: as the user gave it.
-        role: what it is to be.
-        field: what to call it in an error.
+        path: path as the user gave it.
+        role: role of the class.
+        field: field of the path in an error.
 
     Raises:
-        InvalidValueError: no such module, no such class, or not of the role's protocol.
+        InvalidValueError: no such module or class, or a class without the role's protocol.
     """
     check_name(path, role, field)
     name, _, attribute = path.partition(":")
@@ -138,14 +138,14 @@ def configured(
     beside: tuple[str, ...] = (),
     given: Mapping[str, Any] | None = None,
 ) -> T:
-    """An object with its settings, which are the arguments of its class.
+    """Construct an object from its settings, which are the arguments of its class.
 
     Args:
         kind: the class.
-        settings: as a file or a command line has them; a list becomes a tuple.
-        field: what to call them in an error.
-        beside: what may stand beside them where they are written, for the error.
-        given: arguments that heft fills in, where the class takes them; they are no settings.
+        settings: settings from a file or a command line; a list becomes a tuple.
+        field: field of the settings in an error.
+        beside: other names that are allowed in the same table, for the error.
+        given: arguments that heft itself passes if the class takes them; they are not settings.
 
     Raises:
         InvalidValueError: an unknown or missing setting, or a value that the class refuses.
@@ -175,7 +175,7 @@ def configured(
 
 
 def _check_type(field: str, name: str, annotation: Any, value: object) -> None:
-    """Check a setting whose annotation is a number, a text, a bool or one of some words, or None beside them."""
+    """Check a setting whose annotation is a number, a text, a bool, None, a Literal, or a union of these."""
     parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     if all(part in _PLAIN or get_origin(part) is Literal for part in parts):
         try:
@@ -186,22 +186,22 @@ def _check_type(field: str, name: str, annotation: Any, value: object) -> None:
 
 
 def settings_of(kind: Callable[..., Any]) -> list[str]:
-    """The settings of a class as a scenario has them: `name = default`, or the name alone where there is no default."""
+    """Settings of a class in the form of a scenario: `name = default`, or the name alone without a default."""
     named = [a for a in inspect.signature(kind).parameters.values() if a.kind not in (a.VAR_POSITIONAL, a.VAR_KEYWORD)]
     return [a.name if a.default is a.empty else f"{a.name} = {json.dumps(a.default, default=str)}" for a in named]
 
 
 @lru_cache
 def source_hash(kind: type[Any]) -> str:
-    """Hash of the source that a class is made of: of every module of its package, or of its one module.
+    """Hash of the source of a class: of all modules of its package, or of its single module.
 
-    What it answers is kept under it, so that a changed class is asked again.
+    It is part of the key of stored answers, so that a changed class is run again.
     """
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in _files_of(kind))).hexdigest()[:20]
 
 
 def _files_of(kind: type[Any]) -> list[Path]:
-    """Source files of a class's package, or its one module."""
+    """Source files of a class's package, or of its single module."""
     top = sys.modules[kind.__module__.partition(".")[0]]
     folders = [Path(folder) for folder in getattr(top, "__path__", ())]
     if not folders and getattr(top, "__file__", None):
@@ -211,15 +211,15 @@ def _files_of(kind: type[Any]) -> list[Path]:
 
 @contextmanager
 def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """Turn an error inside another's class into one line that names the file and the line of their code.
+    """Turn an error inside a plugin's class into a message in one line, with the file and line of its code.
 
     Args:
         kind: the class.
-        call: what was called, to begin the line with.
-        unless: errors that are passed on as they are.
+        call: name of the call, as the beginning of the message.
+        unless: errors that are raised unchanged.
 
     Raises:
-        HeftError: the line; its cause is the error.
+        HeftError: the message; its cause is the error.
     """
     try:
         yield
@@ -230,35 +230,37 @@ def placed_errors(kind: type[Any], call: str = "", *, unless: tuple[type[Excepti
         frame = next((frame for frame in reversed(frames) if frame.filename in own), frames[-1])
         path = Path(frame.filename)
         place = f"{path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}, line {frame.lineno}"
-        begin = f"{call} ends in " if call else ""
-        raise HeftError(f"{begin}{type(error).__name__}: {one_line(str(error))} ({place})") from error
+        prefix = f"{call} ends in " if call else ""
+        raise HeftError(f"{prefix}{type(error).__name__}: {one_line(str(error))} ({place})") from error
 
 
 def _imported(name: str, path: str, field: str) -> Any:
     if name not in sys.modules:
         importlib.invalidate_caches()
     try:
-        with redirect_stdout(sys.stderr):  # what it prints is no table of heft's
+        with redirect_stdout(sys.stderr):  # keep its output out of heft's tables
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         missing = error.name or name
         if f"{name}.".startswith(f"{missing}."):
-            why = f"a module that this Python finds; there is no {missing}"
+            allowed = f"a module that this Python finds; there is no {missing}"
             top = missing.partition(".")[0]
             if Path(f"{top}.py").is_file() or Path(top).is_dir():
-                why += ", only one in the current folder: --allow-code (heft run, estimate) or PYTHONPATH=. lets it in"
+                allowed += (
+                    ", only one in the current folder: --allow-code (heft run, estimate) or PYTHONPATH=. lets it in"
+                )
         else:
-            why = f"a module that can be imported; {name} needs {missing}, which is not installed"
-        raise InvalidValueError(field, path, why) from None
-    except HeftError:  # a missing driver says what to install
+            allowed = f"a module that can be imported; {name} needs {missing}, which is not installed"
+        raise InvalidValueError(field, path, allowed) from None
+    except HeftError:  # the error of a missing driver names the package to install
         raise
     except Exception as error:
-        why = f"a module that can be imported; {name} ends in {type(error).__name__}: {error}"
-        raise InvalidValueError(field, path, why) from error
+        allowed = f"a module that can be imported; {name} ends in {type(error).__name__}: {error}"
+        raise InvalidValueError(field, path, allowed) from error
 
 
 def _breach(kind: Any, role: Role[Any]) -> str:
-    """The reason that something is no class of a role, else empty."""
+    """Reason why an object is not a class of a role; empty if it is one."""
     if not inspect.isclass(kind):
         return f"this is a {type(kind).__name__}"
     if inspect.isabstract(kind):

@@ -1,4 +1,4 @@
-"""pytest's way to the conformance kit. A user's own `estimators` may hide it: then the user's tests run without it."""
+"""pytest plugin of the conformance kit; a user's own package `estimators` may hide the kit."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ pytest_plugins = [] if _HIDDEN else ["estimators.testing.plugin"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Take the kit's option where there is no kit, to say why."""
+    """Add the kit's option if the kit is hidden, so that its use is refused with a reason."""
     if _HIDDEN:
         parser.addoption("--estimator", help=f"not there: {_HIDDEN}")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse to look for a kit that is hidden."""
+    """Refuse the option of a hidden kit."""
     if _HIDDEN and config.getoption("--estimator"):
         raise pytest.UsageError(f"--estimator: {_HIDDEN}")

@@ -1,4 +1,4 @@
-"""Recorded trials played back: a `TrialRunner` whose bench is a folder of trajectories."""
+"""Replay of recorded trials: a `TrialRunner` on a folder of trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from testbed.trial import Trial
 from testbed.worlds.seeds import new_secret
 
 UNNAMED = "an object without a name"
-"""Object name of a trial whose folder does not name one; it matches no trial."""
+"""Object name of a record whose trial.json names no object; it matches no trial."""
 _TOLERANCE = 1e-6
 _MOST_LISTED = 8
 
@@ -41,7 +41,7 @@ class Recording:
     """Name of the support model, if known."""
 
     def fits(self, trial: Trial) -> bool:
-        """True if it has the action of a trial, and its object and support as far as they are known."""
+        """True if action, and object and support if known, are those of a trial."""
         return (
             self.object in (None, trial.object.name)
             and self.support in (None, trial.support.name)
@@ -50,7 +50,7 @@ class Recording:
 
     @property
     def description(self) -> str:
-        """Object and action in a few words."""
+        """Short description of object and action."""
         settings = self.action.to_dict()
         kind = settings.pop("kind")
         rest = ", ".join(f"{name} {_short(value)}" for name, value in settings.items() if value is not None)
@@ -58,30 +58,30 @@ class Recording:
 
 
 def _short(value: Any) -> str:
-    """Numbers to four digits, also in a list of them."""
+    """Text of a value, or of a list, with four significant digits."""
     if isinstance(value, list | tuple):
         return f"({', '.join(map(_short, value))})"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 class ReplayRunner:
-    """A `TrialRunner` that gives back what was recorded, repeats in the order of recording.
+    """`TrialRunner` that returns recorded trajectories, repeats in the order of recording.
 
-    A simulated record of a results folder has no sensing in it yet: it gets the trial's own draw, as in a simulation.
-    What a bench measured is given back as it is. Entering it starts every repeat over again.
+    A simulated record of a results folder has no sensor errors yet: they are drawn as in a simulation of the trial.
+    Records of a bench are returned unchanged. Entering the runner restarts all repeats.
     """
 
     def __init__(self, folder: str | Path, secret: str | None = None):
-        """Look through a folder; no record is read yet.
+        """Read the headers of the records in a folder.
 
         Args:
-            folder: a results folder, or a folder of trajectory files. Within it, files are taken in order of their
-                `recorded` provenance, then of their names.
-            secret: as `SimulationRunner` takes it.
+            folder: a results folder, or a folder of trajectory files. The order of the files is that of their
+                `recorded` provenance, then of their paths.
+            secret: as for `SimulationRunner`.
 
         Raises:
-            InvalidValueError: no such folder, or nothing recorded in it.
-            DamagedFileError: a file that is no trajectory, or a damaged trial.json.
+            InvalidValueError: no such folder, or no records in it.
+            DamagedFileError: a file that is not a trajectory, or a damaged trial.json.
         """
         root = Path(folder)
         finished = [p.with_name("trajectory.parquet") for p in sorted((root / "trials").glob("*/trial.json"))]
@@ -102,29 +102,30 @@ class ReplayRunner:
         return None
 
     def run(self, trial: Trial) -> Trajectory:
-        """The next recording of this trial.
+        """Return the next recording of a trial.
 
         Raises:
-            InfeasibleTrialError: it was never recorded, or all its repeats have been played; the message says what
-                there is.
-            DamagedFileError: its file is damaged.
+            InfeasibleTrialError: no recording of the trial, or all of them have been played; the message lists the
+                recordings.
+            DamagedFileError: a damaged file.
         """
         fitting = [r for r in self.recordings if r.fits(trial)]
-        left = [r for r in fitting if r.path not in self._played]
-        if not left:
-            raise InfeasibleTrialError(f"replay: {self._missing(trial, len(fitting))}")
-        self._played.add(left[0].path)
-        trajectory = load_trajectory(left[0].path)
+        unplayed = [r for r in fitting if r.path not in self._played]
+        if not unplayed:
+            raise InfeasibleTrialError(f"replay: {self._refusal(trial, len(fitting))}")
+        self._played.add(unplayed[0].path)
+        trajectory = load_trajectory(unplayed[0].path)
         if trajectory.is_clean:
             return draw_sensing(trajectory, preset(trial.sensing), trial.seed_under(self._secret))
         return trajectory
 
-    def _missing(self, trial: Trial, played: int) -> str:
+    def _refusal(self, trial: Trial, played: int) -> str:
+        """Message for a trial of which `played` recordings have been played, and none is left."""
         wanted = Recording(Path(), trial.action, trial.object.name, trial.support.name).description
         if played:
             return f"{wanted}: all {played} recordings have been played; enter the runner again to start over"
-        there = list(dict.fromkeys(r.description for r in self.recordings))
-        shown = "; ".join(there[:_MOST_LISTED]) + (f"; {len(there) - _MOST_LISTED} more" * (len(there) > _MOST_LISTED))
+        known = list(dict.fromkeys(r.description for r in self.recordings))
+        shown = "; ".join(known[:_MOST_LISTED]) + (f"; {len(known) - _MOST_LISTED} more" * (len(known) > _MOST_LISTED))
         return f"{self._folder} has no {wanted}, support {trial.support.name}; it has {shown}"
 
 
@@ -140,7 +141,7 @@ def _recording(path: Path) -> tuple[str, Recording]:
 
 
 def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:
-    """The object's name: from the record itself, or from the trial.json that a results folder has beside it."""
+    """Name of the object, from the record or from the trial.json beside it in a results folder; None if unknown."""
     if "object" in provenance:
         return provenance["object"]
     trial = path.with_name("trial.json")
@@ -153,7 +154,7 @@ def _object_of(path: Path, provenance: Mapping[str, str]) -> str | None:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """True if two plain values are equal, numbers within rounding."""
+    """True if two plain values are equal, floats within `_TOLERANCE`."""
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_same(a[k], b[k]) for k in a)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):

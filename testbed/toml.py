@@ -19,19 +19,19 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 MOST_BYTES, MOST_ENTRIES, MOST_DEPTH, MOST_LINES = 2**20, 100_000, 32, 20
-"""Largest size [B], numbers of values and of tables within tables, of a file that is read; errors that are listed."""
+"""Largest size of a file [B], number of its values, and depth of its tables; number of errors that are listed."""
 LARGEST = 1e15
-"""Largest number in a file: beyond every quantity in SI units, and every seed."""
+"""Largest number in a file, above every quantity in SI units and every seed."""
 _PART_OF_KEY = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*"""
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART_OF_KEY}){{{MOST_DEPTH}}}", re.ASCII)
-"""A dotted key that is too deep: the parser takes memory by the square of its depth."""
+"""Dotted key that is too deep: the parser's memory grows with the square of the depth."""
 MOST_OF = {"m": 10.0, "kg": 50.0}
-"""Largest length and mass in a file, by the unit at the end of a field's name: a bench has none larger."""
+"""Largest length and mass on a bench, by the unit at the end of a field's name."""
 FileModel = TypeVar("FileModel", bound=BaseModel)
 
 
 class InvalidFileError(HeftError, ValueError):
-    """TOML file that cannot be read or does not fit its schema: every error at once, each with its field."""
+    """TOML file that cannot be read or does not fit its schema; the message has all errors, each with its field."""
 
 
 def load_toml(path: Path, model: type[FileModel]) -> FileModel:
@@ -56,10 +56,10 @@ def load_toml(path: Path, model: type[FileModel]) -> FileModel:
 
 
 def fitted(path: Path, data: Any, model: type[FileModel]) -> FileModel:
-    """Content of a file as its pydantic model.
+    """Validate the content of a file by its pydantic model.
 
     Raises:
-        InvalidFileError: it does not fit; the message has a line for each error.
+        InvalidFileError: content that does not fit; the message has a line for each error.
     """
     if lines := [f"{path}: {line}" for line in _beyond_a_bench(data)]:
         raise InvalidFileError("\n".join(lines[:MOST_LINES]))
@@ -72,25 +72,25 @@ def fitted(path: Path, data: Any, model: type[FileModel]) -> FileModel:
 
 
 def _check_size(data: Any) -> None:
-    """Raise ValueError for what no file of a user's is: too deep, too many values, or a number of no quantity."""
-    values, left, depth = 0, [data], 0
-    while left:
-        depth, values = depth + 1, values + len(left)
+    """Raise ValueError for data that is too deep or has too many values or too large numbers."""
+    values, level, depth = 0, [data], 0
+    while level:
+        depth, values = depth + 1, values + len(level)
         if depth > MOST_DEPTH:
             raise ValueError(f"nested deeper than {MOST_DEPTH}")
         if values > MOST_ENTRIES:
             raise ValueError(f"more than {MOST_ENTRIES} values")
-        for value in left:
+        for value in level:
             if isinstance(value, int | float) and LARGEST < abs(value) < math.inf:
                 raise ValueError(f"{short(value)} is larger than {LARGEST:g}, which no quantity here is")
         inner = [
-            value.values() if isinstance(value, dict) else value for value in left if isinstance(value, dict | list)
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
         ]
-        left = [value for values_of in inner for value in values_of]
+        level = [value for values_of in inner for value in values_of]
 
 
 def _beyond_a_bench(value: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
-    """Lines of the fields whose unit, at the end of their name, makes them larger than anything on a bench."""
+    """Error lines of the fields whose value, in the unit at the end of their name, exceeds `MOST_OF`."""
     if isinstance(value, dict):
         for name, inner in value.items():
             yield from _beyond_a_bench(inner, (*path, str(name)))
@@ -105,21 +105,21 @@ def _beyond_a_bench(value: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """Lines that name every error by the fields of the file."""
+    """Lines of a validation error, one per error, with the fields of the file."""
     items = [dict(item) for item in error.errors()]
-    telling = [item for item in items if not _wrong_branch(item)] or items
-    return list(dict.fromkeys(_explain(item, model) for item in telling))
+    relevant = [item for item in items if not _wrong_branch(item)] or items
+    return list(dict.fromkeys(_explain(item, model) for item in relevant))
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Models in an annotation, as in a list or beside None."""
+    """Models in an annotation, also in a list or a union."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [table for inner in get_args(annotation) for table in _tables(inner)]
 
 
 def _known_fields(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
-    """Fields of the table that an error's path leads to."""
+    """Fields of the table at an error's path."""
     tables = [model]
     for part in path:
         inner = [_tables(table.model_fields[part].annotation) for table in tables if part in table.model_fields]
@@ -128,11 +128,11 @@ def _known_fields(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
 
 
 _BRANCHES = ("float", "constrained-float", "str", "int")
-"""Names that pydantic gives to the scalar side of "a number or a list"."""
+"""pydantic's names of the scalar branch of "a number or a list"."""
 
 
 def _wrong_branch(item: dict[str, Any]) -> bool:
-    """True if an error only says that a scalar is no list, or a list no scalar, where a field takes either."""
+    """True if the error is of the other branch of "a number or a list" than that of the input."""
     branch = next((str(p) for p in item["loc"] if str(p) in _BRANCHES or "[" in str(p)), None)
     return branch is not None and (
         (item["type"] == "list_type" and not isinstance(item["input"], list))
@@ -141,7 +141,7 @@ def _wrong_branch(item: dict[str, Any]) -> bool:
 
 
 def _joined(table: str, field: str) -> str:
-    """Name of a field in a file, from the table that was checked and the field that its class names."""
+    """Name of a field in a file, from the checked table and the field in the error of its class."""
     path = [] if table == "file" else table.split(".")
     inner = field.split(".") if field else []
     inner = inner[1:] if inner[1:] and inner[0][:1].isupper() else inner  # Rotate.speed
@@ -163,7 +163,7 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
         hint = nearest(str(name), _known_fields(model, path), 0.6)
         return f"{short(field, str)}: no such field; got {short(item['input'])}{hint}"
     allowed = item["msg"].removeprefix("Input should be ")
-    if item["type"] == "string_pattern_mismatch":  # every pattern is that of a name of a folder
+    if item["type"] == "string_pattern_mismatch":  # every pattern is one of folder names
         allowed = "letters, digits and any of _ . -, without spaces"
     if item["type"] == "list_type" and isinstance(item["input"], str | int | float):
         allowed = f"a list: {json.dumps([item['input']])}"
@@ -173,7 +173,7 @@ def _explain(item: dict[str, Any], model: type[BaseModel]) -> str:
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """TOML of plain data: its own fields, then a table for each mapping; None is left out."""
+    """TOML of plain data: first its fields, then a table for each mapping; None is left out."""
     lines = _fields({name: value for name, value in table.items() if not isinstance(value, Mapping)})
     for name, inner in table.items():
         if isinstance(inner, Mapping):
@@ -185,7 +185,7 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 
 def toml_lists(**lists: Sequence[Mapping[str, Any]]) -> str:
-    """TOML of lists of tables, to follow `toml_text`: a `[[name]]` for each table of fields."""
+    """TOML of lists of tables, for after `toml_text`: a `[[name]]` for each table."""
     return "".join(f"\n[[{name}]]\n{toml_text(table)}" for name, tables in lists.items() for table in tables)
 
 
@@ -203,7 +203,7 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, float):
-        return float.__repr__(value)  # infinite as TOML has it, not as JSON
+        return float.__repr__(value)  # inf in TOML, Infinity in JSON
     return _quoted(value)
 
 

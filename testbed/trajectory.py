@@ -1,4 +1,4 @@
-"""A trajectory: all that was measured in one trial, simulated or real. It never carries the truth."""
+"""Trajectory: the measurements of one trial, simulated or real, without the true masses and frictions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from testbed.validation import freeze_arrays, frozen_array, is_number
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
 SCHEMA_VERSION = 1
-"""Version of trajectory files; others are refused."""
+"""Version of trajectory files; other versions are refused."""
 Status = Literal["ok", "slipped", "limit", "fault"]
-"""End of a trial; only an ok one may be used as data."""
+"""Status of a trial; only ok trials may be used as data."""
 
 
 class Phase(IntEnum):
@@ -41,7 +41,7 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """Tool below the sensor: its gravity and inertia are taken off the wrench."""
+    """Tool below the sensor, whose gravity and inertia are subtracted from the wrench."""
 
     mass: float
     """Mass [kg]."""
@@ -68,7 +68,7 @@ SERIES: dict[str, tuple[str, ...]] = {
     "wrench_on_object_world": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
     "joint_position": tuple(f"{i}_rad" for i in range(1, 8)),
 }
-"""Measured series of a trajectory, with the ends of their columns' names in a file."""
+"""Measured series of a trajectory, with the suffixes of their columns in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,21 +78,21 @@ class Trajectory:
     action: Action
     """The action as executed, after clipping."""
     status: Status
-    """ok; slipped in the grip; limit of torque, speed, reach or joint; fault."""
+    """Status: ok; slipped in the grip; limit of torque, speed, reach or joint; fault."""
     reason: str
-    """Reason for a status other than ok, or for the early end of a push that is ok, in a sentence; else empty."""
+    """Reason for a status other than ok, or for the early end of a push with status ok; else empty."""
     time_s: Float[np.ndarray, "T"]
     """Time since the start of the tare [s]."""
     phase: Int[np.ndarray, "T"]
     """`Phase` of each sample."""
     segment: Int[np.ndarray, "T"]
-    """Steady stretch of the action that a sample belongs to, from 0; -1 outside."""
+    """Index of each sample's steady stretch, from 0; -1 outside."""
     object_pose: Float[np.ndarray, "T 3"]
-    """Planar pose of the object frame [m, m, rad], world, by the hand's pose."""
+    """Planar pose of the object frame [m, m, rad], world, from the hand's pose; in a push, from the camera."""
     object_velocity: Float[np.ndarray, "T 3"]
-    """Planar velocity of the object frame's origin and yaw rate [m/s, m/s, rad/s], world axes, by the hand's motion."""
+    """Planar velocity of the object frame's origin and yaw rate [m/s, m/s, rad/s], world axes, as `object_pose`."""
     tcp_position: Float[np.ndarray, "T 3"]
-    """TCP [m], world; z is its height over the table."""
+    """Position of the TCP [m], world; z is its height over the table."""
     tcp_velocity: Float[np.ndarray, "T 6"]
     """Linear and angular velocity of the tool at the TCP [m/s, rad/s], world axes."""
     sensor_orientation: Float[np.ndarray, "T 4"]
@@ -108,15 +108,15 @@ class Trajectory:
     sensor_bias_std: Float[np.ndarray, "6"]
     """Standard deviation of the constant error left by the tare, by the sensor's data sheet [N, N m]."""
     sensor_drift_std: Float[np.ndarray, "6"] = field(default_factory=lambda: np.zeros(6))
-    """Standard deviation of the random walk of the zero from the tare on [N/sqrt(s), N m/sqrt(s)]."""
+    """Standard deviation of the random walk of the zero after the tare [N/sqrt(s), N m/sqrt(s)]."""
     setup: SetupErrors = EXACT_SETUP
-    """Errors of the setup beside the sensor's, as stated."""
+    """Errors of the setup other than the sensor's, as stated."""
     camera: PoseStream | None = None
     """Poses of the object by a camera, the true ones in a clean record; None without a camera."""
     figures: dict[str, float] = field(default_factory=dict)
-    """Numbers behind the status: peak torque and speed over their limits, slip, grip force, ..."""
+    """Numbers for the status: peak torque and speed over their limits, slip, grip force, ..."""
     provenance: dict[str, str] = field(default_factory=dict)
-    """Origin of the record: runner, versions, support. Methods and policies are not given it: see `blinded`."""
+    """Origin of the record: runner, versions, support. Hidden from methods and policies: see `blinded`."""
 
     @classmethod
     def of_scale(
@@ -189,24 +189,24 @@ class Trajectory:
 
     @property
     def simulated(self) -> bool:
-        """True if a simulator made the record: the truth is known, and sensing presets apply."""
+        """True if the record is of a simulation: the truth is known, and sensing presets apply."""
         return self.provenance.get("runner") == "simulation"
 
     @property
     def is_clean(self) -> bool:
-        """True if the record is a simulator's and has no sensor's errors in it yet."""
+        """True if the record is of a simulation and without sensor errors."""
         return self.simulated and "sensing" not in self.provenance
 
     def blinded(self) -> Self:
-        """Record as methods and policies are given it: of its provenance the kind of runner, and no figures."""
-        kept = {name: said for name, said in self.provenance.items() if name in ("runner", "sensing")}
+        """Record for methods and policies: its provenance has only runner and sensing, and it has no figures."""
+        kept = {name: value for name, value in self.provenance.items() if name in ("runner", "sensing")}
         return replace(self, figures={}, provenance=kept)
 
     def mask(self, *phases: Phase) -> np.ndarray:
         """Mask of the samples in the given phases, shape (T,).
 
         Raises:
-            InvalidValueError: something that is no phase.
+            InvalidValueError: a value that is not a `Phase`.
         """
         if unknown := [phase for phase in phases if not isinstance(phase, Phase)]:
             raise InvalidValueError("phases", unknown, "members of heft.Phase, such as Phase.STEADY")
@@ -214,12 +214,12 @@ class Trajectory:
 
 
 _CAMERA = ("camera.time_s", "camera.poses")
-"""Columns of a camera's frames: all in the first row, as lists, for their number is not that of the samples."""
+"""Columns of a camera's frames, as lists in the first row, since there are not as many frames as samples."""
 _CAMERA_HEADER = ("parts", "position_std", "angle_std", "delay_std")
 
 
 def header_of(trajectory: Trajectory) -> dict[str, Any]:
-    """All of a trajectory but its series and its camera's frames, as plain data."""
+    """Trajectory without its series and its camera's frames, as plain data."""
     tool, camera = trajectory.tool, trajectory.camera
     return {
         "schema_version": SCHEMA_VERSION,
@@ -237,7 +237,7 @@ def header_of(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
-    """Write a trajectory as Parquet (zstd, byte-stream split), whole or not at all."""
+    """Write a trajectory as Parquet (zstd, byte-stream split), atomically."""
     path = Path(path)
     columns: dict[str, np.ndarray] = {name: getattr(trajectory, name) for name in ("time_s", "phase", "segment")}
     for name, units in SERIES.items():
@@ -249,7 +249,7 @@ def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
 
 
 def trajectory_of(header: dict[str, Any], series: Mapping[str, np.ndarray], camera: PoseStream | None) -> Trajectory:
-    """Trajectory of a header as `header_of` makes it.
+    """Trajectory of a header from `header_of`, its series and its camera.
 
     Args:
         header: plain data.
@@ -258,7 +258,7 @@ def trajectory_of(header: dict[str, Any], series: Mapping[str, np.ndarray], came
 
     Raises:
         ValueError: a header of another schema.
-        KeyError: a header or series that lacks an entry.
+        KeyError: a missing entry of the header or the series.
     """
     if header["schema_version"] != SCHEMA_VERSION:
         raise ValueError(f"schema {header['schema_version']}; this version of heft reads {SCHEMA_VERSION}")
@@ -269,7 +269,7 @@ def trajectory_of(header: dict[str, Any], series: Mapping[str, np.ndarray], came
         **{name: series[name] for name in ("time_s", "phase", "segment", *SERIES)},
         tool=None if header["tool"] is None else Tool(**header["tool"]),
         sensor_bias_std=header["sensor_bias_std"],
-        sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # records from before it was kept
+        sensor_drift_std=header.get("sensor_drift_std", [0.0] * 6),  # missing in older records
         setup=SetupErrors(**header.get("setup", {})),
         camera=camera,
         figures=header["figures"],
@@ -281,7 +281,7 @@ def load_trajectory(path: Path) -> Trajectory:
     """Read a trajectory back.
 
     Raises:
-        DamagedFileError: damaged, not a trajectory, or of a schema this version does not know.
+        DamagedFileError: a file that is damaged, not a trajectory, or of an unknown schema.
     """
 
     def parsed(data: bytes) -> Trajectory:
@@ -311,7 +311,7 @@ def _camera_of(table: pa.Table, header: dict[str, Any] | None) -> PoseStream | N
 
 
 def camera_of(header: Mapping[str, Any], time_s: Float[np.ndarray, "F"], poses: Float[np.ndarray, "n"]) -> PoseStream:
-    """Frames of a camera by their header, in which records from before it was kept lack the number of parts."""
+    """Frames of a camera from their header, which in older records lacks the number of parts."""
     parts = header.get("parts", len(poses) // (3 * len(time_s)) if len(time_s) else 1)
     errors = {name: header[name] for name in _CAMERA_HEADER if name != "parts"}
     return PoseStream(time_s, poses.reshape(len(time_s), parts, 3), **errors)

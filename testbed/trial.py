@@ -20,14 +20,14 @@ from testbed.worlds.seeds import seed_of
 
 @dataclass(frozen=True)
 class Support:
-    """Support model: which feet carry the object's weight on the table.
+    """Support model: distribution of the object's weight over its feet on the table.
 
-    0 N/m: every mass group rests on its own weight (blocks joined by free vertical slides), as the paper assumes.
-    Infinite: one rigid body, whose weight spreads affinely over all its feet. In between: springs across the joints.
+    0 N/m: every mass group rests on its own feet (blocks joined by free vertical slides), as the paper assumes.
+    Infinite: one rigid body, whose load is affine over all its feet. Between: springs across the joints.
     """
 
     stiffness: float = 0.0
-    """Vertical stiffness between neighboring groups, N/m."""
+    """Vertical stiffness between neighboring groups [N/m]."""
 
     def __post_init__(self) -> None:
         if not (is_number(self.stiffness) or self.stiffness == math.inf) or self.stiffness < 0:
@@ -41,21 +41,21 @@ class Support:
 
     @property
     def name(self) -> str:
-        """ "own_weight", "rigid", or the stiffness."""
+        """Name: own_weight, rigid, or the stiffness with its unit."""
         return "rigid" if self.is_rigid else "own_weight" if self.stiffness == 0 else f"{self.stiffness:g} N/m"
 
 
 OWN_WEIGHT = Support(0.0)
-"""Every mass group rests on its own weight, as the paper assumes."""
+"""Support of every mass group by its own feet, as the paper assumes."""
 RIGID = Support(math.inf)
-"""One rigid body."""
+"""Support of one rigid body."""
 
 
 def parse_support(text: str | float) -> Support:
-    """A support by name, "own_weight" or "rigid", or by its stiffness in N/m.
+    """Support by name, "own_weight" or "rigid", or by its stiffness [N/m].
 
     Raises:
-        InvalidValueError: neither.
+        InvalidValueError: another text.
     """
     named = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
     try:
@@ -65,10 +65,10 @@ def parse_support(text: str | float) -> Support:
 
 
 def support_of(shape: ObjectShape, text: str | None = None) -> Support:
-    """The named support; if none is named, own weight for an object that stands in groups, else one rigid body.
+    """Support by name; by default own weight if the shape stands in groups, else one rigid body.
 
     Raises:
-        InvalidValueError: a text that `parse_support` does not take.
+        InvalidValueError: a text that `parse_support` refuses.
     """
     if text is not None:
         return parse_support(text)
@@ -80,7 +80,7 @@ class Trial:
     """Request to a runner."""
 
     object: ObjectModel
-    """The object, truth included: a simulation needs it, a real bench has it on the table."""
+    """Object, with its true masses and frictions, which only a simulation uses."""
     action: Action
     """Action on the object."""
     support: Support = OWN_WEIGHT
@@ -88,7 +88,7 @@ class Trial:
     sensing: str = "ideal"
     """Name of a sensing preset."""
     seed: int = 0
-    """Number of the draw of the sensor's errors, >= 0; the same trial run twice has the same errors."""
+    """Number of the draw of the sensor's errors, >= 0: a trial that is run twice has the same errors."""
     world: WorldDraw | None = None
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
@@ -112,15 +112,15 @@ class Trial:
             raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, allowed)
 
     def seed_under(self, secret: str) -> int:
-        """Seed of its sensing draw under a runner's secret; another action has another."""
+        """Seed of the sensing draw under a runner's secret; it depends on the action."""
         return seed_of(secret, self.seed, json.dumps(self.action.to_dict(), sort_keys=True))
 
     @property
     def grasp(self) -> Grasp:
-        """Grasp that the gripper holds.
+        """Grasp of the action.
 
         Raises:
-            InvalidValueError: a weighing on a scale has none.
+            InvalidValueError: an action without a grasp.
         """
         if self.action.grasp is None:
             raise InvalidValueError("trial.action", self.action, "an action that grips the object")
@@ -129,7 +129,7 @@ class Trial:
 
 @runtime_checkable
 class TrialRunner(Protocol):
-    """Runs trials: in MuJoCo, on the real arm, or from a record. Entering it connects, leaving it stops."""
+    """Runner of trials: in MuJoCo, on the real arm, or from records. Entering it connects, leaving it stops."""
 
     def __enter__(self) -> Self: ...
 

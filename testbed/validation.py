@@ -1,11 +1,11 @@
-"""Validation: arrays inside frozen values, checked once; and ranges of settings, stated beside the type of each number.
+"""Validation: arrays of frozen dataclasses, checked once; and ranges of settings, stated in their annotations.
 
 A class whose arguments are settings states the range of every number among them:
 
     stale_after: Annotated[float, Range(0.03, 0.2, "s")] = 0.1
     gains: tuple[Annotated[float, Range(0, 10, "1/s")], ...] = (1.0, 2.0)
 
-Heft checks the settings of a file, of its own classes and of others alike. A class that is also constructed in Python
+Heft checks the settings of a file, for its own classes and for plugins. A class that is also constructed in Python
 calls `check_settings` itself.
 """
 
@@ -33,10 +33,10 @@ MOST_WEIGHT = 100.0
 
 
 def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *, finite: bool = True) -> np.ndarray:
-    """A read-only float64 copy of `values`.
+    """Read-only float64 copy of `values`.
 
     Args:
-        name: what to call it in an error.
+        name: field in an error.
         values: anything array-like.
         shape: expected shape; None matches any length.
         finite: refuse NaN and infinity.
@@ -60,7 +60,7 @@ def frozen_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], *,
 
 
 class ReadOnlyArrays:
-    """Base of dataclasses whose arrays are read-only, in other processes too: a pickled array is writable again."""
+    """Base of dataclasses whose arrays stay read-only when unpickled."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -81,10 +81,10 @@ def freeze_arrays(value: object, **shapes: tuple[int | None, ...]) -> None:
 
 
 def unit_quaternion(name: str, values: ArrayLike) -> np.ndarray:
-    """A read-only unit quaternion, wxyz, shape (4,).
+    """Read-only unit quaternion, wxyz, shape (4,).
 
     Raises:
-        InvalidValueError: another shape, or a length that is not 1.
+        InvalidValueError: another shape, or a norm that is not 1.
     """
     quaternion = frozen_array(name, values, (4,))
     if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
@@ -99,7 +99,7 @@ def check_positive(name: str, value: float) -> None:
 
 
 def check_kilograms(name: str, value: float | None) -> None:
-    """Raise InvalidValueError unless `value` is a mass of an object in kg; one in grams is too large."""
+    """Raise InvalidValueError unless `value` is > 0 and < `MOST_WEIGHT` [kg], which a mass in grams exceeds."""
     if not (is_number(value) and 0 < value < MOST_WEIGHT):
         raise InvalidValueError(name, value, f"a number > 0 and < {MOST_WEIGHT:g}, kg")
 
@@ -111,10 +111,10 @@ def check_positive_fields(value: object, *names: str) -> None:
 
 
 def check_integer(name: str, value: object, least: int = 1, most: int = 1_000_000) -> int:
-    """The value as an int, if it is an integer from `least` to `most`, of Python or numpy, and no bool.
+    """Value as an int, for an integer from `least` to `most` of Python or NumPy.
 
     Raises:
-        InvalidValueError: it is not.
+        InvalidValueError: another value, or a bool.
     """
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         if least <= (number := int(value)) <= most:
@@ -125,7 +125,7 @@ def check_integer(name: str, value: object, least: int = 1, most: int = 1_000_00
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """True for a finite real number that is no bool."""
+    """True for a finite real number that is not a bool."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:
@@ -141,7 +141,7 @@ def _describe(shape: tuple[int | None, ...]) -> str:
 
 @dataclass(frozen=True)
 class Range:
-    """Lowest and highest value of a number, both allowed; metadata of an `Annotated` type, also in a pydantic model."""
+    """Closed interval of a number; metadata of an `Annotated` type, also in a pydantic model."""
 
     low: float
     """Lowest value."""
@@ -163,12 +163,12 @@ class Range:
         """Check a number.
 
         Args:
-            field: what to call it in an error.
+            field: field in an error.
             value: the number.
-            kind: int for whole numbers alone.
+            kind: int to allow only integers.
 
         Raises:
-            InvalidValueError: no number, a bool, NaN, or outside the range.
+            InvalidValueError: a value that is not a number, a bool, NaN, or a number outside the range.
         """
         whole = issubclass(kind, int | np.integer)
         inside = is_number(value) and self.low <= value <= self.high  # pyright: ignore[reportOperatorIssue]
@@ -184,13 +184,13 @@ class Range:
 
 
 def check_settings(kind: type, values: Mapping[str, Any], field: str, skip: Collection[str] = ()) -> None:
-    """Check the numbers among the settings of a class, its defaults included, by the ranges that its arguments state.
+    """Check the numbers among the settings of a class, defaults included, by the ranges in its annotations.
 
     Args:
         kind: the class.
-        values: settings by name; of an object, `vars(self)`.
-        field: what to call them in an error.
-        skip: names of arguments that are no settings.
+        values: settings by name; for an object, `vars(self)`.
+        field: field of the settings in an error.
+        skip: names of arguments that are not settings.
 
     Raises:
         InvalidValueError: a number outside its range, or without a stated range; a value of another shape.
@@ -213,7 +213,7 @@ _LISTS = (list, tuple, Sequence)
 
 @lru_cache
 def arguments_of(kind: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], tuple[Any, Any] | None]:
-    """Annotation and default of each argument by name, and of arguments by any name if the class takes them."""
+    """Annotation and default of each argument by name, and of `**kwargs` if the class takes them."""
     bases = inspect.getmro(kind) if inspect.isclass(kind) else (kind,)
     names = ChainMap(*(vars(sys.modules[base.__module__]) for base in bases))
     found, others = {}, None
@@ -221,8 +221,8 @@ def arguments_of(kind: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], 
         annotation = argument.annotation
         if isinstance(annotation, str):
             try:
-                annotation = eval(annotation, {}, names)  # as `inspect.get_annotations` does, but one by one
-            except Exception:  # a name for type checkers alone
+                annotation = eval(annotation, {}, names)  # as `inspect.get_annotations`, but each alone
+            except Exception:  # a name that is defined for type checkers only
                 annotation = Any
         if argument.kind is argument.VAR_KEYWORD:
             others = annotation, _MISSING
@@ -236,7 +236,7 @@ def _is_number_type(annotation: Any) -> bool:
 
 
 def _lacks_range(annotation: Any) -> bool:
-    """True if a type of numbers in an annotation has no range."""
+    """True if an annotation has a type of numbers without a range."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Literal or (origin is Annotated and any(isinstance(each, Range) for each in inner)):
         return False

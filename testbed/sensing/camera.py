@@ -1,6 +1,7 @@
-"""Camera: the stream of an object's poses that a camera gives, its errors by preset, and the motion between its frames.
+"""Camera: streams of object poses, errors by preset, and the motion between frames.
 
-The object of a push is not in the hand, and of an articulated one only one part is: their motion is seen, not felt.
+In a push no part of the object is in the hand, and of an articulated object only one is: a camera measures the motion
+of the others.
 """
 
 from __future__ import annotations
@@ -18,29 +19,29 @@ from testbed.validation import check_integer, freeze_arrays, frozen_array, is_nu
 DEGREE = 3
 """Degree of the polynomial through the frames nearby."""
 SPAN = 0.8
-"""Time whose frames it runs through [s]: 1 mm and 0.5 deg at 30 Hz leave some 1 mm/s and 0.5 deg/s."""
+"""Time span of a polynomial's frames [s]: errors of 1 mm and 0.5 deg at 30 Hz become some 1 mm/s and 0.5 deg/s."""
 LEAST_FRAMES = 7
-"""Least frames that it runs through, and all that it takes of an exact camera."""
+"""Least number of frames of a polynomial, and its number of frames of an exact camera."""
 LOST = 2.5
 """Time between two frames, as a multiple of the median, from which frames were lost. Ours."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Errors of a camera that sees poses, as stated."""
+    """Errors of a camera that measures poses, as stated."""
 
     name: str
     """Preset name."""
     rate: float = 0.0
-    """Frames a second [Hz]; 0 sees every sample of the record."""
+    """Frame rate [Hz]; 0 for a frame at every sample of the record."""
     position: float = 0.0
     """Standard deviation of a position, per frame and axis [m]."""
     angle: float = 0.0
     """Standard deviation of a yaw, per frame [rad]."""
     delay: tuple[float, float] = (0.0, 0.0)
-    """Least and greatest time by which stamps are late [s]; one draw per trial."""
+    """Least and greatest delay of the time stamps [s]; one draw per trial."""
     dropout: float = 0.0
-    """Share of the frames that are lost."""
+    """Share of lost frames."""
 
     def __post_init__(self) -> None:
         for name in ("rate", "position", "angle", "dropout"):
@@ -54,12 +55,12 @@ class Camera:
 
     @property
     def delay_std(self) -> float:
-        """Standard deviation of the time by which the frames of a trial are off, the mean delay known [s]."""
+        """Standard deviation of the delay in a trial about its known mean [s]."""
         return (self.delay[1] - self.delay[0]) / math.sqrt(12)
 
     @property
     def is_exact(self) -> bool:
-        """True if it sees the true pose at every sample."""
+        """True if it measures the true pose at every sample."""
         return replace(self, name="exact") == Camera("exact")
 
 
@@ -75,18 +76,18 @@ CAMERAS: dict[str, Camera] = {
 
 @dataclass(frozen=True, eq=False)
 class PoseStream:
-    """Frames of a camera: F poses of each part of an object. A rigid object has one part."""
+    """Frames of a camera: F poses of each part of an object; a rigid object has one part."""
 
     time_s: Float[np.ndarray, "F"]
-    """Time of each frame [s], on the record's clock, as stamped less the mean delay."""
+    """Time of each frame [s], on the record's clock: its stamp less the mean delay."""
     poses: Float[np.ndarray, "F parts 3"]
-    """Planar pose of each part's frame [m, m, rad], world; NaN where it was not seen. Yaws do not jump by a turn."""
+    """Planar pose of each part's frame [m, m, rad], world; NaN where it was not measured. Yaws are unwrapped."""
     position_std: float = 0.0
     """Standard deviation of a position as stated, per frame and axis [m]."""
     angle_std: float = 0.0
     """Standard deviation of a yaw as stated, per frame [rad]."""
     delay_std: float = 0.0
-    """Standard deviation of the time by which all frames of a trial are off, as stated [s]."""
+    """Standard deviation of the delay that all frames of a trial share, as stated [s]."""
 
     def __post_init__(self) -> None:
         freeze_arrays(self, time_s=(None,))
@@ -107,15 +108,15 @@ class PoseStream:
 
     @property
     def joint_angles(self) -> Float[np.ndarray, "F joints"]:
-        """Yaw of each part less that of the one before [rad], 0 as the object is stated to lie; NaN where not seen."""
+        """Yaw of each part less that of the one before [rad], 0 in the stated shape; NaN where not measured."""
         return np.diff(self.poses[..., 2], axis=1)
 
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
-        """Poses at given times [s], of each part straight between the frames that saw it, NaN without; for drawing."""
+        """Poses at given times [s], for drawing: linear between the frames of each part; NaN without frames."""
         found = np.full((len(times), self.parts, 3), math.nan)
         for part, poses in enumerate(self.poses.transpose(1, 0, 2)):
-            if (seen := ~np.isnan(poses[:, 0])).any():
-                found[:, part] = interpolated(times, self.time_s[seen], poses[seen])
+            if (measured := ~np.isnan(poses[:, 0])).any():
+                found[:, part] = interpolated(times, self.time_s[measured], poses[measured])
         return found
 
     def motion(
@@ -125,17 +126,17 @@ class PoseStream:
         within: tuple[float, float] = (-math.inf, math.inf),
         span: float | None = None,
     ) -> SeenMotion:
-        """Motion of a part at given times, by local polynomials through the frames nearby.
+        """Motion of a part at given times, by local polynomials of degree `DEGREE` through the nearest frames.
 
-        Rows are NaN where the stream has fewer than `LEAST_FRAMES` frames, outside it, and where frames were lost:
-        between two that are further apart than half a `SPAN` and than `LOST` times the usual.
+        Rows are NaN if the stream has fewer than `LEAST_FRAMES` frames, outside the stream, and where frames were lost:
+        between two frames whose distance exceeds half of `SPAN` and `LOST` times the median.
 
         Args:
             times: times [s].
             part: index of the part.
-            within: times between which the motion is smooth [s]: frames outside are left out.
-            span: time whose frames each polynomial runs through [s]; None is `SPAN`, or the nearest `LEAST_FRAMES` of
-                an exact stream.
+            within: first and last time of the smooth motion [s]; frames outside are left out.
+            span: time span of the frames of a polynomial [s]; None for `SPAN`, or for the nearest `LEAST_FRAMES` frames
+                of an exact stream.
         """
         check_integer("part", part, least=0, most=self.parts - 1)
         std = np.array([self.position_std, self.position_std, self.angle_std])
@@ -155,7 +156,7 @@ class PoseStream:
             value[index], noise[index] = fit @ pose[near], fit @ fit.T
         flat = value.reshape(count, 9)
         covariance = np.einsum("nab,ij->naibj", noise, np.diag(std**2)).reshape(count, 9, 9)
-        # all frames late by one time: each derivative is off by the next one
+        # A delay shared by all frames changes each derivative by the next one
         late = self.delay_std * np.concatenate([flat[:, 3:], np.zeros((count, 3))], axis=1)
         covariance += late[:, :, None] * late[:, None, :]
         return SeenMotion(value[:, 0], value[:, 1], value[:, 2], covariance, late)
@@ -163,7 +164,7 @@ class PoseStream:
 
 @dataclass(frozen=True, eq=False)
 class SeenMotion:
-    """Motion of a part at N times by a camera, world axes; NaN where it was not seen."""
+    """Motion of a part at N times by a camera, world axes; NaN where it was not measured."""
 
     pose: Float[np.ndarray, "N 3"]
     """Planar pose of its frame [m, m, rad]."""
@@ -174,14 +175,14 @@ class SeenMotion:
     covariance: Float[np.ndarray, "N 9 9"]
     """Covariance of pose, twist and acceleration, in this order, from the frames' noise and the delay's error."""
     late: Float[np.ndarray, "N 9"]
-    """Effect of one standard deviation of the delay, which all rows share: it is in `covariance`."""
+    """Effect of one standard deviation of the delay, which all rows share; included in `covariance`."""
 
 
 def _nearest(time: np.ndarray, at: float, span: float, lost: float) -> np.ndarray:
-    """Indices of the frames within half a `span` of a time, or of the nearest ones where these are too few.
+    """Indices of the frames within half a `span` of a time, or of the nearest `LEAST_FRAMES` if these are too few.
 
-    Between the first and the last frame, or half a span outside, and not between two that are more than `lost` apart;
-    else none.
+    Empty more than half of `SPAN` before the first or after the last frame, and between two frames that are more than
+    `lost` apart.
     """
     after, none = int(np.searchsorted(time, at)), np.empty(0, dtype=np.int64)
     if len(time) == 0 or not time[0] - SPAN / 2 <= at <= time[-1] + SPAN / 2:
@@ -194,14 +195,14 @@ def _nearest(time: np.ndarray, at: float, span: float, lost: float) -> np.ndarra
 
 
 def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
-    """Frames of a camera with errors, by the true poses of a clean record.
+    """Draw the frames of a camera with errors from the true poses of a clean record.
 
-    They state the camera's errors, and not the draw.
+    The result states the camera's errors, not their draw.
 
     Args:
         true: poses at the record's samples.
         camera: errors of the camera.
-        seed: seed of the draw, as of the force sensor's: the two do not share their numbers.
+        seed: seed of the draw; it may be that of the force sensor, whose random numbers are independent.
     """
     if camera.is_exact:
         return true

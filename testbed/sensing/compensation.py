@@ -21,10 +21,10 @@ SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
     """Trajectory with `wrench_on_object_world` from its raw sensor record, simulated or real.
 
-    Tare: the mean of the raw record while hovering, less what the tool weighs there, is the sensor's bias; where a
-    trial ends with another tare, that one only shows the drift. A sensor that was zeroed before, with the tool as it
-    hangs at the first sample, needs no tare: without one its zero stays. Tool: gravity and inertia of all that hangs
-    below the sensor, from the hand's own motion. What remains is moved to the TCP, world axes.
+    Tare: the sensor's bias is the mean of the raw record while hovering, less the weight of the tool. A second tare at
+    the end of a trial only shows the drift. A sensor that was zeroed before the record (`zeroed`), with the tool in its
+    orientation at the first sample, needs no tare. Tool: gravity and inertia of all parts below the sensor follow from
+    the hand's motion. The remaining wrench is moved to the TCP, in world axes.
 
     Raises:
         InvalidValueError: no tare samples, or no tool.
@@ -60,19 +60,19 @@ def tare_samples(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
 
 
 def _tares(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
-    """Indices of the samples of every tare, without its first third: the arm has only just come to rest."""
+    """Indices of the samples of every tare, without its first third, in which the arm comes to rest."""
     return [stretch[len(stretch) // 3 :] for stretch in runs(trajectory.mask(Phase.TARE))]
 
 
 def tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndarray:
-    """Wrench that moves the tool alone as it moved, sensor axes, about the sensor's origin, shape (T, 6)."""
+    """Wrench on the tool alone for its motion and weight [N, N m], sensor axes, about the sensor's origin, (T, 6)."""
     twist, rates = trajectory.tcp_velocity, twist_rates(trajectory)
-    into = axes.transpose(0, 2, 1)
-    linear = np.einsum("nij,nj->ni", into, rates[:, :3])
-    spin, spin_rate = (np.einsum("nij,nj->ni", into, x) for x in (twist[:, 3:], rates[:, 3:]))
+    into_sensor = axes.transpose(0, 2, 1)
+    linear = np.einsum("nij,nj->ni", into_sensor, rates[:, :3])
+    spin, spin_rate = (np.einsum("nij,nj->ni", into_sensor, x) for x in (twist[:, 3:], rates[:, 3:]))
     arm = tool.com - tool.tcp
     acceleration = linear + np.cross(spin_rate, arm) + np.cross(spin, np.cross(spin, arm))
-    gravity = np.einsum("nij,j->ni", into, [0, 0, -GRAVITY])
+    gravity = np.einsum("nij,j->ni", into_sensor, [0, 0, -GRAVITY])
     force = tool.mass * (acceleration - gravity)
     torque = spin_rate @ tool.inertia.T + np.cross(spin, spin @ tool.inertia.T) + np.cross(tool.com, force)
     return np.hstack([force, torque])
@@ -81,7 +81,7 @@ def tool_wrench(tool: Tool, trajectory: Trajectory, axes: np.ndarray) -> np.ndar
 def tool_pulls(
     tool: Tool, axes: Float[np.ndarray, "T 3 3"], pulls: Float[np.ndarray, "A 3"]
 ) -> Float[np.ndarray, "T A 6"]:
-    """Wrenches of the tool alone by accelerations in the world [m/s^2], sensor axes, about the sensor's origin."""
+    """Wrenches on the tool alone for accelerations in the world [m/s^2], sensor axes, about the sensor's origin."""
     force = tool.mass * np.einsum("nji,aj->nai", axes, pulls)
     return np.concatenate([force, np.cross(tool.com, force)], axis=2)
 
@@ -97,6 +97,6 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
 
 
 def tare_time(trajectory: Trajectory) -> float:
-    """Middle of the tare [s], or the record's beginning without one."""
+    """Middle of the first tare [s]; the first sample's time without a tare."""
     tare = tare_samples(trajectory)
     return float(trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0])

@@ -1,8 +1,8 @@
 """Drift of a sensor's zero during a trial, and the limit beyond which the trial is no data.
 
-A trial on the robot begins and ends with a tare in the same place. The wrench is counted from the first one; the
-second one shows the error of the record at its end. Estimators weigh a record by the random walk of its zero: the walk
-assumed for the sensor, or a faster one where the two tares show it.
+A trial on the robot begins and ends with a tare in the same place. The first one is the zero of the wrench; the second
+one shows the error at the end of the record. Estimators weight a record by the random walk of its zero: the walk that
+is assumed for the sensor, or a faster one if the two tares show it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from testbed.trajectory import SERIES, Phase, Trajectory
 from testbed.validation import check_positive_fields, freeze_arrays
 
 ANOTHER_UNIT = 30.0
-"""Drift of the torque over its limit from which, beside a steady force, its unit is in doubt. Ours."""
+"""Drift of the torque over its limit beyond which, if the force is steady, its unit is in doubt. Ours."""
 
 
 @dataclass(frozen=True)
 class DriftLimit:
     """Greatest drift of a trial that is data.
 
-    The default is the bias that cost 28 % NAD on a block object turned one way, and 3 % there and back; a tare of 0.5 s
-    with an FT-300S sees it at some four times its own scatter.
+    The default is a bias that cost 28 % NAD on a block object turned one way, and 3 % there and back. It is some four
+    times the scatter of a tare of 0.5 s with an FT-300S.
     """
 
     force: float = 0.2
@@ -54,17 +54,17 @@ class Drift:
 
     @property
     def force(self) -> float:
-        """Length of the change of force [N]."""
+        """Norm of the change of force [N]."""
         return float(np.linalg.norm(self.after[:3] - self.before[:3]))
 
     @property
     def torque(self) -> float:
-        """Length of the change of torque [N m]."""
+        """Norm of the change of torque [N m]."""
         return float(np.linalg.norm(self.after[3:] - self.before[3:]))
 
     @property
     def walk(self) -> Float[np.ndarray, "6"]:
-        """Random walk with a typical change of this size [N/sqrt(s), N m/sqrt(s)], for each axis."""
+        """Random walk whose root mean square change is this drift [N/sqrt(s), N m/sqrt(s)], for each axis."""
         return np.repeat([self.force, self.torque], 3) / np.sqrt(3 * self.seconds)
 
     def exceeds(self, limit: DriftLimit) -> str:
@@ -90,10 +90,10 @@ def drift_of(trajectory: Trajectory) -> Drift | None:
 
 
 def judge_drift(trajectory: Trajectory, limit: DriftLimit) -> Trajectory:
-    """Trial with its biases and drift among its figures; a fault, and so no data, if it drifted too far.
+    """Trajectory with its biases and drift among its figures; its status is `fault` if the drift exceeds the limit.
 
-    A trial that has failed for another reason keeps that reason. `sensor_drift_std` is at least what the bench assumes
-    of its sensor, and more where the tares show more: two tares meet by chance too. `provenance["drift"]` says which.
+    A trial that has failed for another reason keeps that reason. `sensor_drift_std` is the greater of the walk that the
+    bench assumes and the walk that the tares show, which may agree by chance. `provenance["drift"]` names both.
     """
     biases, drift = tare_biases(trajectory), drift_of(trajectory)
     figures, axes = dict(trajectory.figures), SERIES["sensor_wrench"]
@@ -101,16 +101,16 @@ def judge_drift(trajectory: Trajectory, limit: DriftLimit) -> Trajectory:
         figures |= {f"bias_{when}_{axis}": float(value) for axis, value in zip(axes, bias, strict=True)}
     assumed = trajectory.sensor_drift_std
     if drift is None:
-        said = f"assumed, for want of a second tare: {_in_words(assumed)}"
-        return replace(trajectory, figures=figures, provenance=trajectory.provenance | {"drift": said})
-    said = f"tares {drift.seconds:.0f} s apart show {_in_words(drift.walk)}; assumed at least {_in_words(assumed)}"
-    why = drift.exceeds(limit)
+        note = f"assumed, for want of a second tare: {_in_words(assumed)}"
+        return replace(trajectory, figures=figures, provenance=trajectory.provenance | {"drift": note})
+    note = f"tares {drift.seconds:.0f} s apart show {_in_words(drift.walk)}; assumed at least {_in_words(assumed)}"
+    reason = drift.exceeds(limit)
     return replace(
         trajectory,
         figures=figures | {"drift_N": drift.force, "drift_Nm": drift.torque},
         sensor_drift_std=np.maximum(assumed, drift.walk),
-        provenance=trajectory.provenance | {"drift": said},
-        **({"status": "fault", "reason": why} if why and trajectory.ok else {}),
+        provenance=trajectory.provenance | {"drift": note},
+        **({"status": "fault", "reason": reason} if reason and trajectory.ok else {}),
     )
 
 

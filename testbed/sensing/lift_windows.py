@@ -1,4 +1,4 @@
-"""Lift windows: the stretches of a lift, each reduced to one wrench and its motion in the object's axes."""
+"""Lift windows: stretches of a lift, each reduced to one wrench and one motion in object axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from testbed.worlds.setup_errors import SetupErrors
 class LiftWindow:
     """Stretch at rest, or rocked at constant acceleration. Object axes; moments about the TCP.
 
-    The wrench on a body is linear in `pull`, `angular_acceleration` and `spin_products`, so means go with means.
+    The wrench on a body is linear in `pull`, `angular_acceleration` and `spin_products`, so its mean follows from their
+    means.
     """
 
     grasp: int
@@ -47,17 +48,17 @@ class LiftWindow:
     from_sensor: Float[np.ndarray, "6 6"]
     """Map from a wrench in the sensor's axes, about its origin, to one as `wrench`."""
     tool: Float[np.ndarray, "6"]
-    """Mean wrench on the tool less that at the tare [N, N m], sensor axes: the sensor feels it too."""
+    """Mean wrench on the tool less that at the tare [N, N m], sensor axes, which the sensor measures too."""
     tool_mass: float
     """Mass of the tool [kg]."""
     tool_rate: Float[np.ndarray, "6"]
-    """Mean change of the tool's wrench with time [N/s, N m/s], sensor axes: what a late pose takes it for."""
+    """Mean rate of the tool's wrench [N/s, N m/s], sensor axes: its error per delay of the poses."""
     pull_rate: Float[np.ndarray, "3"]
-    """Mean change of `pull` with time [m/s^3]."""
+    """Mean rate of `pull` [m/s^3]."""
     pull_tilt: Float[np.ndarray, "2 3"]
-    """Change of `pull` with a tilt of the table, and all on it, about its x and its y [m/s^2 a rad]."""
+    """Change of `pull` with a tilt of the table and robot about the table's x and y axes [m/s^2 per rad]."""
     tool_tilt: Float[np.ndarray, "2 6"]
-    """Change of `tool` with such a tilt [N, N m a rad]."""
+    """Change of `tool` with such a tilt [N, N m per rad]."""
     setup: SetupErrors
     """Errors of the setup, as stated."""
 
@@ -72,13 +73,13 @@ class LiftWindow:
 def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     """Windows of every stretch of a lift.
 
-    The object lies flat while the grip settles: its orientation later on follows from the hand's.
+    The object lies flat while the grip settles: its later orientation follows from the hand's.
 
     Raises:
-        InvalidValueError: not a lift, not `ok`, without its settling, or with a stretch too short to trim.
+        InvalidValueError: not a lift, not `ok`, no samples in phase SETTLE, or a stretch too short to trim.
     """
     action = trajectory.action
-    if action.grasp is None or not (action.in_air and trajectory.ok):  # the others have no such windows
+    if action.grasp is None or not (action.in_air and trajectory.ok):  # other actions have no lift windows
         raise InvalidValueError("trajectory", f"{action}, {trajectory.status}", "a Lift with status ok")
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if len(tare) < 2 or tool is None:
@@ -96,12 +97,12 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     pulls = tool_pulls(tool, sensor_axes, SIDEWAYS)
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
-    lasting = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
+    durations = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
     noise = [_noise_of_mean(trajectory.time_s[kept], wrench[kept]) for kept in stretches]
-    # one noise for all, mostly of the long stretches: those of a few correlated samples show too little of it
-    density = np.einsum("k,kij->ij", lasting**3, noise) / (lasting**2).sum()
+    # One noise density for all windows, mostly of the long ones: a few correlated samples underestimate it
+    density = np.einsum("k,kij->ij", durations**3, noise) / (durations**2).sum()
     windows = []
-    for kept, seconds in zip(stretches, lasting, strict=True):
+    for kept, seconds in zip(stretches, durations, strict=True):
         windows.append(
             LiftWindow(
                 grasp=action.grasp,
@@ -128,22 +129,22 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
 
 
 def poses_in_space(trajectory: Trajectory) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3 3"]]:
-    """Origin of the object frame, on its bottom [m], and its axes during a lift, by the hand's pose; at rest before.
+    """Origin of the object frame, on its bottom [m], and its axes in a lift, from the hand's pose; at rest before it.
 
     Raises:
-        InvalidValueError: a record without its settling.
+        InvalidValueError: a record without samples in phase SETTLE.
     """
     flat, _, axes = _held_axes(trajectory)
-    lies = np.append(trajectory.object_pose[flat, :2], 0.0)
-    lever = axes[flat].T @ (lies - trajectory.tcp_position[flat])
-    let_go = np.flatnonzero(trajectory.mask(Phase.RELEASE))
-    last = let_go[0] - 1 if len(let_go) else len(axes) - 1
+    origin = np.append(trajectory.object_pose[flat, :2], 0.0)
+    lever = axes[flat].T @ (origin - trajectory.tcp_position[flat])
+    released = np.flatnonzero(trajectory.mask(Phase.RELEASE))
+    last = released[0] - 1 if len(released) else len(axes) - 1
     held = np.clip(np.arange(len(axes)), flat, max(last, flat))
     return trajectory.tcp_position[held] + axes[held] @ lever, axes[held]
 
 
 def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], Float[np.ndarray, "T 3 3"]]:
-    """The last sample that lies flat, the object's axes in the sensor's, and in the world as if always held."""
+    """Last sample at rest on the table, object axes in sensor axes, and in the world as if the grip held throughout."""
     held = np.flatnonzero(trajectory.mask(Phase.SETTLE))
     if len(held) == 0:
         raise InvalidValueError("trajectory", "no settling of the grip", "the record of a whole lift")
@@ -158,8 +159,8 @@ def _rate(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T n"]) -> Fl
 
 
 def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "6 6"]:
-    """Covariance of the mean of a record about its parabola: while it rocks, gravity comes from ever another side."""
-    since = time - time.mean()
-    curve = np.polynomial.polynomial.polyfit(since, samples, 2)
-    left = samples - np.polynomial.polynomial.polyval(since, curve).T
-    return mean_covariance(left) * len(time) / (len(time) - 3)
+    """Covariance of the mean of a record about a parabola, since gravity turns in the object as it is rocked."""
+    centered = time - time.mean()
+    curve = np.polynomial.polynomial.polyfit(centered, samples, 2)
+    residuals = samples - np.polynomial.polynomial.polyval(centered, curve).T
+    return mean_covariance(residuals) * len(time) / (len(time) - 3)

@@ -1,4 +1,4 @@
-"""Windows of an articulated object: short stretches of constant speed of the hand, in which the other links trail."""
+"""Windows of an articulated object: short stretches in which the hand has constant speed and the other links trail."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from testbed.trajectory import Trajectory
 
 @reduced_once
 def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
-    """Windows of every steady stretch, each with the angle, rate and slope of every link as a camera sees them.
+    """Windows of every steady stretch, with yaw, yaw rate and angular acceleration of every link by a camera.
 
     Raises:
-        InvalidValueError: not a turn or slide with status ok, a stretch too short, or no camera that sees the links.
+        InvalidValueError: not a turn or slide with status ok, a stretch that is too short, or no poses of the links.
     """
     if not (trajectory.action.dragged and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a turn or slide, status ok")
@@ -56,12 +56,12 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
     """Indices of the samples of each window of a stretch of `count` samples, `step` s apart."""
     for whole in np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1)):
-        yield whole[: len(whole) // PARTS * PARTS]  # no part ends within a sample
+        yield whole[: len(whole) // PARTS * PARTS]  # whole samples in every part
 
 
 def turned_errors(
     covariance: Float[np.ndarray, "9 9"], late: Float[np.ndarray, "9"], shared: float
 ) -> Float[np.ndarray, "3 4"]:
-    """Effects of the camera's errors on angle, rate and slope: three of the window's own, and one of its trial."""
+    """Effects of the camera's errors on yaw and its two derivatives: three of the window, and one of its trial."""
     yaw = [2, 5, 8]
     return seen_errors(covariance[np.ix_(yaw, yaw)], late[yaw], shared)

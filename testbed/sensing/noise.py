@@ -1,6 +1,6 @@
-"""Noise: the errors of a sensor drawn on a clean, simulated record.
+"""Noise: draws of a sensor's errors for a clean, simulated record.
 
-A simulated trial is stored with a perfect sensor, so that a hundred noise seeds cost no simulation.
+A simulated trial is stored as of a perfect sensor, so that further draws need no simulation.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from testbed.worlds.draw import WorldDraw
 from testbed.worlds.instruments import as_measured, rounded, true_sensing
 
 SURE_WEIGHT = 3.0
-"""Reading of a scale over its error from which it shows the object at all."""
+"""Least reading of a scale over its standard error."""
 
 
 def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
-    """Trajectory of a clean one as a sensor with errors records it, tared and compensated.
+    """Draw the record of a sensor with errors from a clean trajectory; the result is tared and compensated.
 
-    Where the clean one was made in a world that is not ideal, arm and sensor err as they do there.
+    If the clean trajectory is from a world that is not ideal, the errors of arm and sensor in that world are added.
 
-    It states the sensor's errors as the data sheet does, and nothing by which the draw could be taken off again.
+    The result states the sensor's errors as its data sheet does, and nothing that reveals the draw.
 
     Args:
         clean: simulated trial with a perfect sensor.
         sensing: errors of the sensor.
-        seed: seed of the draw; one seed gives the same errors to all trials of equal length: mix in the trial's own.
+        seed: seed of the draw. Trials of equal length get the same errors from the same seed: use one per trial.
 
     Raises:
         InvalidValueError: a trajectory with a sensor's errors.
@@ -49,8 +49,8 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
     provenance["sensing"] = "drawn"
     if clean.tool is None:
         wrench = np.array(clean.wrench_on_object_world)
-        off = 0.0 if draw is None else draw.normal("scale", 1)[0]
-        wrench[:, 2] += GRAVITY * read_scale(off, sensing, seed)
+        offset = 0.0 if draw is None else draw.normal("scale", 1)[0]
+        wrench[:, 2] += GRAVITY * read_scale(offset, sensing, seed)
         return replace(clean, sensor_wrench=wrench, wrench_on_object_world=wrench, provenance=provenance)
     if draw is not None:
         clean, sensing = as_measured(clean, draw), true_sensing(sensing, draw)
@@ -91,11 +91,11 @@ def read_scale(mass: float, sensing: Sensing, seed: int | Sequence[int]) -> floa
 
 
 def check_reading(name: str, reading: float, sensing: Sensing) -> None:
-    """Check that a scale shows an object.
+    """Check that the reading of a scale exceeds its error.
 
     Raises:
-        InfeasibleTrialError: it reads less than some of its own errors.
+        InfeasibleTrialError: a reading of at most `SURE_WEIGHT` standard errors.
     """
     if reading <= SURE_WEIGHT * sensing.scale:
-        why = f"weight: the scale reads {1e3 * reading:.2g} g, with an error of {1e3 * sensing.scale:.2g} g"
-        raise InfeasibleTrialError(f"{name}: {why}; take a better scale or a heavier object")
+        reason = f"weight: the scale reads {1e3 * reading:.2g} g, with an error of {1e3 * sensing.scale:.2g} g"
+        raise InfeasibleTrialError(f"{name}: {reason}; take a better scale or a heavier object")

@@ -1,4 +1,4 @@
-"""Sensing presets: errors of a sensor and its camera by name, as stated, and how far the truth is off."""
+"""Sensing presets by name: stated errors of a sensor and its camera, and factors of the true errors."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from testbed.sensing.camera import CAMERAS, Camera
 from testbed.validation import frozen_array
 
 Axes = tuple[float, float, float]
-"""Numbers for the axes x, y, z."""
+"""Values of the axes x, y, z."""
 
 
 @dataclass(frozen=True)
 class Sensing:
     """Errors of a sensor as its data sheet states them: standard deviations, SI units, sensor axes.
 
-    A draw takes these numbers times the two factors, hidden from every method and policy.
+    A draw multiplies bias and drift by `true_bias` and `true_drift`, which are hidden from methods and policies.
     """
 
     name: str
@@ -45,13 +45,13 @@ class Sensing:
     scale: float = 0.0
     """Error of a scale's reading [kg]."""
     true_bias: float = 1.0
-    """Bias that is drawn, over the stated one."""
+    """Ratio of the drawn bias to the stated one."""
     true_drift: float = 1.0
-    """Random walk that is drawn, over the stated one."""
+    """Ratio of the drawn random walk to the stated one."""
     source: str = ""
     """Source of the numbers."""
     camera: Camera = CAMERAS["exact"]
-    """Camera that sees the object where the hand does not hold it."""
+    """Camera for the poses of parts that the hand does not hold."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -125,7 +125,7 @@ _FACTORS = re.compile(
 def preset(name: str, field: str = "sensing") -> Sensing:
     """Sensing preset by name; "ft300s:bias=2:drift=0.5" draws twice the stated bias and half the stated drift.
 
-    "ft300s:camera=exact" has another camera. `field` is what to call the name in an error.
+    "ft300s:camera=exact" has another camera. `field` is the name's field in an error.
 
     Raises:
         InvalidValueError: no such preset.

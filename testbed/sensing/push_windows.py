@@ -1,4 +1,4 @@
-"""Windows of a push: short stretches while the fingertip touches, with the object's motion as a camera sees it."""
+"""Windows of a push: short stretches in contact, with the motion of the object by a camera."""
 
 from __future__ import annotations
 
@@ -29,22 +29,24 @@ from testbed.sensing.windows import (
 from testbed.trajectory import Phase, Trajectory
 
 WINDOW = 0.4
-"""Least length of a window, at a pace of 1 [s]: the center of rotation moves on meanwhile."""
+"""Least length of a window, at a pace of 1 [s]: short, since the center of rotation moves."""
 BEGIN = 0.3
-"""Time left out after the fingertip has met the object, at a pace of 1 [s]."""
+"""Time left out after the start of contact, at a pace of 1 [s]."""
 TOUCHING = 0.3
-"""Force by which the fingertip touches, over what it takes to push."""
+"""Least force in contact, over the usual force of the push."""
 NOISE = 2.0
-"""Ratio of the force of a push to that of a tare, below which the fingertip meets nothing."""
+"""Least force of a push, over that of a tare; below it there is no contact."""
 _SMOOTH = 5
+"""Samples of the moving average of the force."""
 
 
 @reduced_once
 def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:
-    """Windows of a push, from soon after the fingertip meets the object until it leaves it, or the path ends.
+    """Windows of a push, from `BEGIN` after the start of contact to its end, or that of the path.
 
     Raises:
-        InvalidValueError: no push with status ok, no camera, or no stretch of contact long enough that the camera saw.
+        InvalidValueError: not a push with status ok, no camera, or no stretch of contact that is long enough and has
+            frames.
     """
     if not (trajectory.action.pushes and trajectory.ok):
         raise InvalidValueError("trajectory", f"{trajectory.action}, {trajectory.status}", "a Push with status ok")
@@ -56,27 +58,27 @@ def push_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     pace = trajectory.action.pace
     kept = contact[within_contact(time[contact], pace)]
     step = float(np.median(np.diff(time)))
-    met, left = float(time[contact[0]]), float(time[contact[-1]])
+    begin, end = float(time[contact[0]]), float(time[contact[-1]])
     if _count(time[kept], pace) < 1:
         allowed = f"{pace * (WINDOW + BEGIN) + TRIM_END:.2g} s or more at this speed"
-        raise InvalidValueError("trajectory", f"{left - met:.2g} s in contact", allowed)
-    found = stretches(time[kept], trajectory.tcp_position[kept, :2], camera, (met + pace * BEGIN / 2, left), pace)
+        raise InvalidValueError("trajectory", f"{end - begin:.2g} s in contact", allowed)
+    found = stretches(time[kept], trajectory.tcp_position[kept, :2], camera, (begin + pace * BEGIN / 2, end), pace)
     tared = tare_time(trajectory)
     whole = noise_of_mean(trajectory.wrench_on_object_world[kept], round(BATCH / step))
     windows = []
     for part, yaw, motion in found:
-        axes = np.tile(np.eye(3), (len(part), 1, 1))
-        axes[:, :2, :2] = rotation_2d(-yaw)
-        wrench = rotate_wrench(axes, trajectory.wrench_on_object_world[kept[part]])
+        into_object = np.tile(np.eye(3), (len(part), 1, 1))
+        into_object[:, :2, :2] = rotation_2d(-yaw)
+        wrench = rotate_wrench(into_object, trajectory.wrench_on_object_world[kept[part]])
         middle = len(part) // 2
         from_sensor = sensor_map(trajectory, (int(kept[part[middle]]), float(yaw[middle])))
         bias, drift = bias_and_drift(trajectory, from_sensor)
-        turned = block_diag(axes[middle], axes[middle])
+        rotation = block_diag(into_object[middle], into_object[middle])
         windows.append(
             SteadyWindow(
                 grasp=None,
                 wrench=wrench.mean(axis=0),
-                covariance=turned @ whole @ turned.T * (len(kept) / len(part)),
+                covariance=rotation @ whole @ rotation.T * (len(kept) / len(part)),
                 tcp_height=float(trajectory.tcp_position[kept[part], 2].mean()),
                 from_sensor=from_sensor,
                 bias_covariance=bias,
@@ -101,19 +103,19 @@ def contact_path(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray
 
 
 def within_contact(time: Float[np.ndarray, "N"], pace: float) -> Int[np.ndarray, "M"]:
-    """Indices of times [s] in contact that count: not as the fingertip meets the object, nor as it leaves."""
+    """Indices of the times in contact [s] that count, without the start and the end of the contact."""
     return np.flatnonzero((time >= time[0] + pace * BEGIN) & (time <= time[-1] - TRIM_END))
 
 
 class Stretch(NamedTuple):
-    """A part of a push as a camera sees it."""
+    """Part of a push, with its motion by a camera."""
 
     samples: Int[np.ndarray, "N"]
     """Indices of its samples."""
     yaw: Float[np.ndarray, "N"]
     """Yaw of the object at each [rad], world."""
     motion: dict[str, Any]
-    """Fields of its `SteadyWindow` that the motion decides."""
+    """Fields of its `SteadyWindow` that follow from the motion."""
 
 
 def stretches(
@@ -123,14 +125,14 @@ def stretches(
     within: tuple[float, float],
     pace: float,
 ) -> list[Stretch]:
-    """Stretches of a push of at least `WINDOW` s at its pace; those not seen are left out.
+    """Stretches of a push of at least `WINDOW` s at its pace; those with lost frames are left out.
 
     Args:
         time: times in contact that count [s].
-        place: places of the fingertip then [m], world.
+        place: positions of the fingertip at these times [m], world.
         camera: poses of the object.
-        within: times between which its motion is smooth [s].
-        pace: that of the push.
+        within: first and last time of its smooth motion [s].
+        pace: pace of the push.
     """
     count = _count(time, pace)
     if count < 1:
@@ -178,7 +180,7 @@ def push_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
 
 
 def window_samples(trajectory: Trajectory) -> list[Int[np.ndarray, "N"]]:
-    """Indices of the samples that methods are given: of every window of a push, of every steady stretch of the others.
+    """Indices of the samples for methods: of every window of a push, or every steady stretch of other actions.
 
     Raises:
         InvalidValueError: as `push_windows` or `steady_samples`.
@@ -190,31 +192,34 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
     """Indices of the longest run of samples in which the fingertip pushes, by the measured force.
 
     Raises:
-        InvalidValueError: it never touches.
+        InvalidValueError: no steady stretch, or no contact.
     """
     inside = trajectory.segment >= 0
     if inside.sum() < _SMOOTH:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
-    across = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
-    across = np.convolve(np.pad(across, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-    force, free = across[inside], across[trajectory.mask(Phase.TARE)]
+    planar = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
+    planar = np.convolve(np.pad(planar, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
+    force, free = planar[inside], planar[trajectory.mask(Phase.TARE)]
     usual = np.quantile(force, 0.9)
     if not (force > TOUCHING * usual).any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
-    return max(runs(inside & (across > TOUCHING * usual)), key=len)
+    return max(runs(inside & (planar > TOUCHING * usual)), key=len)
 
 
 def _count(time: Float[np.ndarray, "N"], pace: float) -> int:
-    """Number of windows in times at even steps [s]."""
+    """Number of windows in evenly spaced times [s]."""
     return int(len(time) * float(np.median(np.diff(time))) / (pace * WINDOW) + 1e-6) if len(time) > 1 else 0
 
 
 def seen_errors(
     covariance: Float[np.ndarray, "N N"], late: Float[np.ndarray, "N"], shared: float
 ) -> Float[np.ndarray, "N M"]:
-    """Effects of a camera's errors: N of a window's own, and one of its trial, of poses that are `late`.
+    """Effects of a camera's errors: N of the window alone, and the effect `late` of the delay, which its trial shares.
 
-    Neighboring windows share frames: each counts for so many windows, and their errors are widened as much.
+    Args:
+        covariance: covariance of the motion, delay included.
+        late: effect of one standard deviation of the delay.
+        shared: number of windows that share a frame; the variance of the noise is multiplied by it.
     """
     values, vectors = np.linalg.eigh(covariance - np.outer(late, late))
     return np.column_stack([vectors * np.sqrt(np.maximum(values, 0.0) * max(shared, 1.0)), late])

@@ -1,4 +1,4 @@
-"""The object as its camera sees it: its pose where no hand holds it, and whether it is where the hand has it."""
+"""Object poses by a camera: for objects that the hand does not hold, and compared with the hand's poses."""
 
 from __future__ import annotations
 
@@ -16,46 +16,50 @@ from testbed.sensing.series import interpolated
 from testbed.trajectory import Phase, Trajectory
 
 APART = 0.015, math.radians(6)
-"""Distance [m] and angle [rad] between the object by hand and by camera from which their frames do not fit."""
+"""Largest distance [m] and angle [rad] between the object's poses by hand and by camera."""
 DELAY = 0.06
-"""Time by which all poses of a trial may be late or early beyond what is stated [s]."""
+"""Largest error of a delay beyond the stated one [s]."""
 SCALE = 0.04
-"""Part by which distances may be off: a rule that is 4 % too long."""
+"""Largest relative error of distances: a ruler that is 4 % too long."""
 _SURE = 3.0
+"""Standard errors by which an error must exceed its limit."""
 _BEFORE = 0.5
-"""Rest before the motion that is looked at as well [s]."""
+"""Time at rest before the motion that is compared too [s]."""
 _REST, _CLEAR = 1.5, 0.15
-"""Rest before the first touch [s], and time about it that is left out: the fingertip slows, and the force rises."""
+"""Time at rest before the first contact, and time around it that is left out [s]: fingertip and force change."""
 _TOUCH = 0.0005
-"""Standard deviation of the fingertip's place when the force shows its touch [m]."""
+"""Standard deviation of the fingertip's position at the first contact by the force [m]."""
 _FACE = 0.0005
-"""Error of an outline over a push [m]."""
+"""Error of the outline over a push [m]."""
 _MEDIAN_OF_SECOND = 0.6745 * math.sqrt(6)
 """Median size of second differences of white noise, over its standard deviation."""
 
 
 def as_seen(record: Trajectory) -> Trajectory:
-    """Record with the object where its camera sees it, if the hand does not hold it; at rest where nothing was seen."""
+    """Record with the object's poses by its camera if the hand does not hold it; at rest where frames were lost.
+
+    Without a camera, or without frames, it is the record itself.
+    """
     if record.action.grasp is not None or record.camera is None:
         return record
     motion = record.camera.motion(record.time_s)
-    seen = np.flatnonzero(~np.isnan(motion.pose[:, 0]))
-    if len(seen) == 0:
+    measured = np.flatnonzero(~np.isnan(motion.pose[:, 0]))
+    if len(measured) == 0:
         return record
-    nearest = seen[np.searchsorted(seen, np.arange(len(record.time_s))).clip(max=len(seen) - 1)]
+    following = measured[np.searchsorted(measured, np.arange(len(record.time_s))).clip(max=len(measured) - 1)]
     twist = np.where(np.isnan(motion.twist), 0.0, motion.twist)
-    return replace(record, object_pose=motion.pose[nearest], object_velocity=twist)
+    return replace(record, object_pose=motion.pose[following], object_velocity=twist)
 
 
 def frame_mismatch(record: Trajectory, shape: ObjectShape) -> str:
     """Message when hand and camera disagree; empty if they agree.
 
-    Of what is held, the camera's poses are held against the hand's; of a push, the object's face against the fingertip
-    that pushes it, from the moment of contact that the force shows. Found are another place, a delay, another scale and
-    more scatter than stated. A constant shift along the face, and a yaw within `APART`, show in no single trial.
+    For a held object, the camera's poses are compared with the hand's; for a push, the object's face with the fingertip
+    from the first contact on, which the force shows. Detected are an offset, a delay, a wrong scale, and more scatter
+    than stated. No single trial shows a constant shift along the face, or a yaw within `APART`.
 
     Args:
-        record: a record with poses of a camera, compensated; one without says nothing.
+        record: compensated record; without poses of a camera, the message is empty.
         shape: geometry of the object.
     """
     if record.camera is None or not record.action.on_table:
@@ -77,38 +81,39 @@ def _of_held(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
     by_hand, speed = (
         interpolated(time, record.time_s, series) for series in (record.object_pose, record.object_velocity)
     )
-    off = poses[kept] - by_hand
-    off[:, 2] -= math.tau * round(float(np.median(off[:, 2])) / math.tau)
-    way, turn = float(np.median(np.linalg.norm(off[:, :2], axis=1))), float(np.median(off[:, 2]))
-    if way > APART[0] or abs(turn) > APART[1]:
+    difference = poses[kept] - by_hand
+    difference[:, 2] -= math.tau * round(float(np.median(difference[:, 2])) / math.tau)
+    shift = float(np.median(np.linalg.norm(difference[:, :2], axis=1)))
+    turn = float(np.median(difference[:, 2]))
+    if shift > APART[0] or abs(turn) > APART[1]:
         return (
-            f"it sees what is held {way * 1e3:.0f} mm and {math.degrees(turn):+.0f} deg from where the hand has it; "
+            f"it sees what is held {shift * 1e3:.0f} mm and {math.degrees(turn):+.0f} deg from where the hand has it; "
             f"allowed: {APART[0] * 1e3:.0f} mm and {math.degrees(APART[1]):.0f} deg"
         )
-    # off = constant - delay * velocity + (scale - 1) * way, in units of the noise; no scale changes an angle
+    # difference = constant - delay * velocity + (scale - 1) * path, in units of the noise; no scale changes an angle
     std = _noise(camera)
-    way = (by_hand - by_hand[0]) * [1.0, 1.0, 0.0]
-    columns = [np.tile(each, (len(time), 1)) for each in np.eye(3)] + [-speed, way]
+    path = (by_hand - by_hand[0]) * [1.0, 1.0, 0.0]
+    columns = [np.tile(each, (len(time), 1)) for each in np.eye(3)] + [-speed, path]
     design = np.stack([(column / std).ravel() for column in columns], axis=1)
-    (delay, delay_std), (scale, scale_std) = _fitted(design, (off / std).ravel())[3:]
+    (delay, delay_std), (scale, scale_std) = _fitted(design, (difference / std).ravel())[3:]
     return _late(delay, delay_std, camera) or _scaled(scale, scale_std)
 
 
 def _of_push(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
-    """The gap between fingertip and face: nothing at the first touch, when the object still rests, and ever after."""
+    """Message from the gap between fingertip and face, which is 0 from the first contact on."""
     tip, contact = record.action.fingertip(shape), touching(record)
     assert tip is not None
-    met, radius = record.time_s[contact[0]], tip.radius
+    begin, radius = record.time_s[contact[0]], tip.radius
     whole = ~np.isnan(camera.poses[:, 0]).any(axis=1)
     time, poses = camera.time_s[whole], camera.poses[whole, 0]
-    rests = (time > met - _REST) & (time < met - _CLEAR)
+    rests = (time > begin - _REST) & (time < begin - _CLEAR)
     if not rests.any():
         return ""
     rest = np.median(poses[rests], axis=0)
     first = _gaps(shape, rest[None], record.tcp_position[contact[:1], :2], radius)[0]
     if abs(first) > APART[0]:
         return _beside(first)
-    pushed = np.flatnonzero((time > met + _CLEAR) & (time < record.time_s[contact[-1]]))
+    pushed = np.flatnonzero((time > begin + _CLEAR) & (time < record.time_s[contact[-1]]))
     tips = interpolated(time[pushed], record.time_s, record.tcp_position[:, :2])
     gaps = _gaps(shape, poses[pushed], tips, radius)
     if len(pushed) < LEAST_FRAMES:
@@ -116,17 +121,17 @@ def _of_push(record: Trajectory, shape: ObjectShape, camera: PoseStream) -> str:
     if abs(middle := float(np.median(gaps))) > APART[0]:
         return _beside(middle)
     speed = float(np.median(np.linalg.norm(record.tcp_velocity[contact, :2], axis=1)))
-    way = speed * (time[pushed] - met)
+    path = speed * (time[pushed] - begin)
     std = _noise(camera)[0]
-    design = np.stack([np.ones(len(way)), way - way.mean()], axis=1) / std
+    design = np.stack([np.ones(len(path)), path - path.mean()], axis=1) / std
     (level, level_std), (slope, slope_std) = _fitted(design, gaps / std)
-    # a face that is seen late lies behind the fingertip
+    # With a delay the face lies behind the fingertip
     delay, delay_std = -(level - first) / speed, math.hypot(level_std, std / math.sqrt(rests.sum()), _TOUCH) / speed
-    return _late(delay, delay_std, camera) or _scaled(slope, slope_std + _FACE / float(np.ptp(way)))
+    return _late(delay, delay_std, camera) or _scaled(slope, slope_std + _FACE / float(np.ptp(path)))
 
 
 def _gaps(shape: ObjectShape, poses: np.ndarray, tips: np.ndarray, radius: float) -> np.ndarray:
-    """Distance of a fingertip from the outline [m] in each frame."""
+    """Distance between a fingertip and the outline in each frame [m], negative inside."""
     points = np.einsum("nij,nj->ni", rotation_2d(-poses[:, 2]), tips - poses[:, :2])
     return np.array([room_at(shape, point) for point in points]) - radius
 
@@ -165,10 +170,10 @@ def _scatter(record: Trajectory, camera: PoseStream) -> str:
     moved = record.time_s[_moving(record)]
     inside = (camera.time_s >= moved[0]) & (camera.time_s <= moved[-1])
     for poses in camera.poses[inside].transpose(1, 0, 2):
-        seen = poses[~np.isnan(poses).any(axis=1)]
-        if len(seen) < LEAST_FRAMES:
+        measured = poses[~np.isnan(poses).any(axis=1)]
+        if len(measured) < LEAST_FRAMES:
             continue
-        usual = np.median(np.abs(np.diff(seen, n=2, axis=0)), axis=0) / _MEDIAN_OF_SECOND
+        usual = np.median(np.abs(np.diff(measured, n=2, axis=0)), axis=0) / _MEDIAN_OF_SECOND
         most = _SURE * _noise(camera)
         if (usual > most).any():
             return (
@@ -183,5 +188,5 @@ def _moving(record: Trajectory) -> np.ndarray:
 
 
 def _noise(camera: PoseStream) -> np.ndarray:
-    """Standard deviation of a frame's pose [m, m, rad]: as stated, and at least that of a good camera."""
+    """Standard deviation of a frame's pose as stated, at least that of a good camera [m, m, rad], shape (3,)."""
     return np.maximum([camera.position_std, camera.position_std, camera.angle_std], [5e-4, 5e-4, 2e-3])

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 def interpolated(
     time: Float[np.ndarray, "N"], at: Float[np.ndarray, "T"], values: Float[np.ndarray, "T K"]
 ) -> Float[np.ndarray, "N K"]:
-    """Columns of values at some times, along straight lines between those at which they are known; constant beyond."""
+    """Columns of `values`, given at the times `at`, linearly interpolated at the times `time`; constant beyond."""
     return np.column_stack([np.interp(time, at, column) for column in values.T])
 
 

@@ -1,8 +1,7 @@
-"""Steady windows: each reduced to one wrench in the object frame, with its covariance.
+"""Steady windows: stretches of a record, each reduced to a mean wrench in the object frame, with its covariance.
 
-At constant speed the wrench is constant in the object frame in a turn (and in a slide, where that frame does not turn),
-so a whole window says as much as its mean; records are autocorrelated, so the mean's covariance uses the effective
-sample size.
+In a turn or slide at constant speed the wrench is constant in the object frame, so the mean over a window is
+sufficient. Records are autocorrelated, so the covariance of the mean uses the effective sample size.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 
 TRIM_START = 1.0
-"""Time left out at the start of a constant-speed window [s]: the arm's outer loop is still settling."""
+"""Time left out at the start of a window of constant speed [s], in which the arm's outer loop settles."""
 TRIM_STEP = 0.2
 """Time left out after each step of acceleration [s]."""
 TRIM_END = 0.05
 """Time left out at the end of a window [s]."""
 BATCH = 0.2
-"""Time whose mean is one sample of the noise [s]: above its correlation time, below that of the load."""
+"""Length of a batch of samples [s]: above the correlation time of the noise, below that of the load."""
 LONGEST_STEP = 0.1
-"""Longest time between samples [s]: several make a sample of the noise's mean, and a part of a window."""
+"""Longest time between samples [s], at which a batch and a part of a window still have samples."""
 PARTS = 10
-"""Parts of a window with their own mean motion; each needs a sample."""
+"""Number of parts of a window, each with its mean motion."""
 LEAST_BATCHES = 8
-"""A window of fewer is judged by its whole scatter."""
+"""Least number of batches for the covariance from their differences; with fewer it is from the whole scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,7 @@ class SteadyWindow:
     """Stretch of constant speed, or of constant acceleration."""
 
     grasp: int | None
-    """Index of the grasp; None of a push."""
+    """Index of the grasp; None for a push."""
     wrench: Float[np.ndarray, "6"]
     """Mean wrench of the gripper on the object [N, N m], about the TCP, in axes that turn with the object (z up)."""
     covariance: Float[np.ndarray, "6 6"]
@@ -53,17 +52,17 @@ class SteadyWindow:
     twist: Float[np.ndarray, "3"]
     """Mean velocity of the grasp point and turn rate [m/s, rad/s], object axes."""
     twists: Float[np.ndarray, "S 3"]
-    """`twist` over each of `PARTS` equal parts: an arm that yields to the drag moves the center of a turn."""
+    """`twist` over each of `PARTS` equal parts: the drag deflects the arm and so moves the center of a turn."""
     acceleration: Float[np.ndarray, "3"]
     """Mean acceleration of the grasp point and angular acceleration [m/s^2, rad/s^2], object axes."""
     spin_square: float
-    """Mean square of the turn rate [rad^2/s^2]: above the square of its mean if the turn accelerates."""
+    """Mean square of the turn rate [rad^2/s^2], above the square of the mean if the turn accelerates."""
     tcp_height: float
     """Mean height of the TCP over the table [m]."""
     yaw: Float[np.ndarray, "2"]
     """Yaw of the object at the window's first and last sample [rad]."""
     poses: Float[np.ndarray, "S 3"]
-    """Place of the TCP and yaw of the object over each of the parts [m, m, rad], world."""
+    """Mean position of the TCP and yaw of the object in each part [m, m, rad], world."""
     from_sensor: Float[np.ndarray, "6 6"]
     """Map from a wrench in the sensor's axes, about its origin, to one as `wrench`."""
     bias_covariance: Float[np.ndarray, "6 6"]
@@ -73,17 +72,18 @@ class SteadyWindow:
     since_tare: Float[np.ndarray, "2"]
     """Time from the tare to the window's first and last sample [s]."""
     point: Float[np.ndarray, "2"] | None = None
-    """Mean place of the TCP in the object frame [m] by a camera; None of a grip, which is at its stated place."""
+    """Mean position of the TCP in the object frame by a camera [m]; None for a grip, at its stated position."""
     seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
-    """Errors of the object's pose, twist and acceleration by a camera, along object axes: effects of one standard
-    deviation each, nine of the window's own and one that all of a trial share; 0 of a grip."""
+    """Errors of the object's pose, twist and acceleration by a camera, object axes: effects of one standard deviation
+    each, nine of the window alone and one that the windows of a trial share; 0 for a grip."""
     tool_tilt: Float[np.ndarray, "2 6"] = field(default_factory=lambda: np.zeros((2, 6)))
-    """Change of `wrench` by the tool's weight [N, N m a rad] as the table, the robot on it, tilts about its x
-    or y: the tare takes what shows in one direction of the hand, and the hand turns."""
+    """Change of `wrench` by the tool's weight with a tilt of table and robot about the table's x and y axes [N, N m per
+    rad]: the tare removes it in the hand's first orientation alone."""
     turned: Float[np.ndarray, "S L 3"] = field(default_factory=lambda: np.zeros((PARTS, 0, 3)))
-    """Yaw [rad], rate and slope of every link of an articulated object over each of the parts, by a camera, world."""
+    """Mean yaw, yaw rate and angular acceleration of each link of an articulated object in each part, by a camera,
+    world [rad, rad/s, rad/s^2]."""
     turned_errors: Float[np.ndarray, "L 3 4"] = field(default_factory=lambda: np.zeros((0, 3, 4)))
-    """Errors of `turned`: effects of one standard deviation each, three of the window's own and one of its trial."""
+    """Errors of `turned`: effects of one standard deviation each, three of the window alone and one of its trial."""
 
     def __post_init__(self) -> None:
         square, pair = (6, 6), (2,)
@@ -99,14 +99,14 @@ Window = TypeVar("Window")
 
 
 def reduced_once(reduce: Callable[[Trajectory], list[Window]]) -> Callable[[Trajectory], list[Window]]:
-    """Reduction of a record to its windows, kept: a record never changes, and every method reduces it."""
-    kept: WeakKeyDictionary[Trajectory, list[Window]] = WeakKeyDictionary()
+    """Cache the reduction of a record to its windows: a record never changes, and every method reduces it."""
+    cache: WeakKeyDictionary[Trajectory, list[Window]] = WeakKeyDictionary()
 
     @wraps(reduce)
     def windows(trajectory: Trajectory) -> list[Window]:
-        if trajectory not in kept:
-            kept[trajectory] = reduce(trajectory)
-        return list(kept[trajectory])
+        if trajectory not in cache:
+            cache[trajectory] = reduce(trajectory)
+        return list(cache[trajectory])
 
     return windows
 
@@ -122,7 +122,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
         raise InvalidValueError(
             "trajectory.status", trajectory.status, f"ok; this trial is no data: {trajectory.reason}"
         )
-    if not trajectory.action.dragged:  # the others have no such windows
+    if not trajectory.action.dragged:  # other actions have no steady windows
         raise InvalidValueError(
             "trajectory.action",
             trajectory.action,
@@ -134,7 +134,7 @@ def steady_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 def windows_of(
     trajectory: Trajectory, stretches: Sequence[tuple[Int[np.ndarray, "N"], Int[np.ndarray, "W"]]]
 ) -> list[SteadyWindow]:
-    """A window of each stretch of a grip's record: its samples, and those for the noise of its mean."""
+    """Window of each stretch of a record with a grip: the stretch's samples, and those for the noise of its mean."""
     into_object = rotation_2d(-trajectory.object_pose[:, 2])
     in_object = wrench_in_object(trajectory)
     linear = np.einsum("nij,nj->ni", into_object, trajectory.tcp_velocity[:, :2])
@@ -171,7 +171,7 @@ def windows_of(
 
 
 def part_means(samples: Float[np.ndarray, "N ..."]) -> Float[np.ndarray, "S ..."]:
-    """Means over `PARTS` parts of the same length, a sample on a border counted in both by its share of each."""
+    """Means over `PARTS` parts of equal length; a sample on a border counts in both parts by its shares."""
     edges = np.linspace(0, len(samples), PARTS + 1)[:, None]
     index = np.arange(len(samples))
     shares = (np.minimum(index + 1, edges[1:]) - np.maximum(index, edges[:-1])).clip(min=0)
@@ -179,7 +179,7 @@ def part_means(samples: Float[np.ndarray, "N ..."]) -> Float[np.ndarray, "S ..."
 
 
 def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]]) -> list[Float[np.ndarray, "2 6"]]:
-    """Change of the mean wrench of the tool since the tare, by a tilt about x and y, sensor axes."""
+    """Change of the tool's mean wrench since the tare with a tilt about x and y [N, N m per rad], sensor axes."""
     tool, tare = trajectory.tool, tare_samples(trajectory)
     if tool is None or len(tare) == 0:
         return [np.zeros((2, 6))] * len(stretches)
@@ -190,7 +190,7 @@ def _tool_tilts(trajectory: Trajectory, stretches: Sequence[Int[np.ndarray, "N"]
 def bias_and_drift(
     trajectory: Trajectory, from_sensor: Float[np.ndarray, "6 6"]
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 6"]]:
-    """Covariances of the bias left by the tare, and of the drift per second, where a map takes the sensor's wrench."""
+    """Covariances of the bias left by the tare, and of the drift per second, in the axes of the map `from_sensor`."""
     tare = tare_samples(trajectory)
     own = mean_covariance(trajectory.sensor_wrench[tare]) if len(tare) > 1 else np.zeros((6, 6))
     bias = from_sensor @ (np.diag(trajectory.sensor_bias_std**2) + own) @ from_sensor.T
@@ -241,7 +241,7 @@ def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
 def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
     """Standard deviation of a single sample of `wrench_in_object` from the sensor's errors [N, N m], shape (6,).
 
-    They are its noise, measured while hovering, and the constant error left by the tare.
+    The errors are the noise, as measured while hovering, and the constant error left by the tare.
     """
     hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
     noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
@@ -254,8 +254,8 @@ def sensor_map(trajectory: Trajectory, at: tuple[int, float] | None = None) -> F
 
     Args:
         trajectory: record of a trial.
-        at: a sample, and the yaw of the object then [rad]; None of a grip: the hand turns with the object, so one
-            moment's axes serve for the whole trial.
+        at: a sample, and the object's yaw at it [rad]; None for a grip, where the hand turns with the object, and the
+            map is the same at all samples.
     """
     if trajectory.tool is None:
         return np.eye(6)
@@ -269,22 +269,22 @@ def sensor_map(trajectory: Trajectory, at: tuple[int, float] | None = None) -> F
 def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Mean acceleration over a window, linear part in object axes, (3,).
 
-    A point that moves steadily with a turning object accelerates towards the center of the turn; in object axes that is
-    constant, so derivative and rotation go together: a = R^T d(velocity)/dt.
+    A point of an object in a steady turn accelerates towards the center, constantly in object axes:
+    a = R^T d(velocity)/dt.
     """
     into_object = rotation_2d(-yaw)
     in_object = np.einsum("nij,nj->ni", into_object, twist[:, :2])
     slopes = np.polynomial.polynomial.polyfit(time - time.mean(), np.column_stack([in_object, twist[:, 2]]), 1)[1]
-    # in turning axes: R^T dv/dt = d(R^T v)/dt + rate e_z x (R^T v)
+    # R^T dv/dt = d(R^T v)/dt + rate e_z x (R^T v)
     turning = (twist[:, 2, None] * perpendicular(in_object)).mean(axis=0)
     return np.array([*(slopes[:2] + turning), slopes[2]])
 
 
 def noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
-    """Covariance of the mean of a record, of its noise alone, (D, D).
+    """Covariance of the mean of a record from its noise alone, (D, D).
 
-    From second differences of means over `length` samples, which a slow change leaves out (von Neumann 1941); of the
-    whole scatter where there are fewer than `LEAST_BATCHES` of them.
+    It is from second differences of means over `length` samples, to which slow changes do not contribute (von Neumann
+    1941); with fewer than `LEAST_BATCHES` means, it is from the whole scatter.
     """
     count = len(samples) // length
     if count < LEAST_BATCHES:
@@ -313,7 +313,7 @@ def mean_covariance(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D D
 
 
 def effective_samples(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D"]:
-    """Number of independent samples that a record of T is worth, per column, at least 1, (D,).
+    """Effective number of independent samples in a record of T samples, per column, at least 1, (D,).
 
     T over the integrated autocorrelation time, summed while pairs of neighboring lags stay positive (Geyer 1992).
     """
@@ -348,15 +348,15 @@ def reduced_trials(
     kind: Callable[[Action], bool],
     reduce: Callable[[Trajectory], list[Window]],
 ) -> dict[int, list[Window]]:
-    """Windows of every trial of some kinds of action, by its place among all.
+    """Windows of every trial of some kinds of action, by its index.
 
-    Trials that did not end well, those with a stretch too short to trim, and a record given again are left out.
+    Left out are trials with a status other than ok, with a stretch too short to trim, and repeated records.
 
     Args:
         shape: shape of the object.
         trajectories: trials of one object.
-        kind: True of the actions that count.
-        reduce: reduction of a record to its windows; it raises InvalidValueError where a stretch is too short.
+        kind: predicate of the actions that count.
+        reduce: reduction of a record to its windows; it raises InvalidValueError if a stretch is too short.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.

@@ -1,4 +1,4 @@
-"""Contacts of the feet with the table: in the scene, their forces in a trial and at rest; of a fingertip with faces."""
+"""Contacts of feet with the table, their loads at rest, and contacts of a fingertip with the faces of an object."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from testbed.trial import Support
 from testbed.worlds.feet import Feet
 
 _TIP_DAMPING = 20.0
-"""Rate at which a fingertip's friction opposes slip [1/s]: it lifts what slides, as it does a foot, and at a
-large one the fingertip bounces along its face."""
+"""Rate at which a fingertip's friction opposes slip [1/s]. As under a foot, slip causes lift; at a large rate it makes
+the fingertip bounce along its face."""
 _THIN = 2.5e-4
 """Half the depth of a thin face's box [m]."""
 UNSEEN = {"mass": 0, "group": 4, "contype": 0, "conaffinity": 0}
@@ -45,11 +45,11 @@ def resting_loads(obj: ObjectModel, support: Support, contact: ContactSettings) 
 def lay_level(
     spec: mujoco.MjSpec, obj: ObjectModel, support: Support, contact: ContactSettings, feet: Feet, joined: ObjectShape
 ) -> None:
-    """Let the object lie level at rest, each foot as deep in the foundation as its load takes.
+    """Set contact margins and spring lengths such that the object lies level at rest.
 
-    A contact of MuJoCo's acts halfway between the surfaces, which would be lower under a heavy group than under a light
-    one. So the foundation begins above the table by as much as a foot sinks at rest, and the foot stays on the table;
-    under links, which turn and share a tilt, by as much as the group does.
+    A contact in MuJoCo acts halfway between the two surfaces: lower under a heavy group than under a light one. The
+    margin of each contact therefore equals the depth by which its foot sinks at rest, so that the foot stays at the
+    height of the table. For links, which turn and share a tilt, it equals the mean depth of the group.
 
     Args:
         spec: scene with feet, and with springs between groups.
@@ -74,27 +74,27 @@ def lay_level(
 def _at_rest(
     obj: ObjectModel, support: Support, contact: ContactSettings, feet: Feet, joined: ObjectShape
 ) -> tuple[Float[np.ndarray, "G"], Float[np.ndarray, "F"]]:
-    """Depth to which every group sinks at the frame's origin, and every level foot [m]; negative where it would pull.
+    """Depths by which each group sinks at the frame's origin, and each foot [m]; negative where a foot would pull.
 
-    Arguments as `lay_level`; a rigid body is one group.
+    Arguments as for `lay_level`; a rigid body is one group.
     """
     group = np.zeros(len(feet.particle), dtype=int) if support.is_rigid else obj.shape.mass_group[feet.particle]
     groups = 1 if support.is_rigid else obj.shape.n_m
-    sinks = np.column_stack([np.eye(groups)[group], feet.position])
-    matrix = sinks.T @ (_stiffness(obj, feet, contact)[:, None] * sinks)
+    design = np.column_stack([np.eye(groups)[group], feet.position])
+    matrix = design.T @ (_stiffness(obj, feet, contact)[:, None] * design)
     if not support.is_rigid:
         for a, b in joined.neighbors:
             matrix[[a, b], [a, b]] += support.stiffness
             matrix[[a, b], [b, a]] -= support.stiffness
     weight = [obj.total_mass * GRAVITY] if support.is_rigid else obj.group_mass * GRAVITY
-    wanted = np.append(weight, obj.total_mass * GRAVITY * obj.center_of_mass)
-    # A straight row of feet leaves the tilt across it open: the least-norm solution has none
-    found = np.linalg.lstsq(matrix, wanted, rcond=1e-9)[0]
-    return found[:groups], sinks @ found
+    loads = np.append(weight, obj.total_mass * GRAVITY * obj.center_of_mass)
+    # A straight row of feet does not determine the tilt across it: in the least-norm solution it is 0
+    solution = np.linalg.lstsq(matrix, loads, rcond=1e-9)[0]
+    return solution[:groups], design @ solution
 
 
 def _stiffness(obj: ObjectModel, feet: Feet, contact: ContactSettings) -> Float[np.ndarray, "F"]:
-    """Stiffness of every foot [N/m]."""
+    """Stiffness of each foot [N/m]."""
     return feet.stiffness * foot_stiffness(obj, contact)
 
 
@@ -131,12 +131,12 @@ def add_feet(
 
 
 def foot_stiffness(obj: ObjectModel, contact: ContactSettings) -> float:
-    """Stiffness of a foot under a particle [N/m], at which the object sinks by `sag` under its weight."""
+    """Nominal stiffness of a foot [N/m], at which the object sinks by `sag` under its own weight."""
     return obj.total_mass * GRAVITY / int((obj.shape.friction_group >= 0).sum()) / contact.sag
 
 
 def soften_feet(model: mujoco.MjModel, obj: ObjectModel, feet: Feet, contact: ContactSettings) -> np.ndarray:
-    """Give every foot its part of `foot_stiffness`; returns their geom ids, shape (n_feet,).
+    """Set the stiffness and damping of each foot's contact; returns the geom ids of the feet, shape (n_feet,).
 
     MuJoCo's stiffness is per unit of effective mass, which only the compiled model knows: a static contact with
     impedance d carries f = k r d / ((1 - d) A), with k in 1/s^2 and A the inverse effective mass.
@@ -154,12 +154,12 @@ def soften_feet(model: mujoco.MjModel, obj: ObjectModel, feet: Feet, contact: Co
 
 
 def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) -> np.ndarray:
-    """Inverse effective mass of every foot [1/kg], shape (n_feet,)."""
+    """Inverse effective mass of each foot [1/kg], shape (n_feet,)."""
     inverse = model.body_invweight0[model.geom_bodyid[geoms], 0].copy()
     slides = [j for j in range(model.njnt) if model.joint(j).name.startswith("slide_")]
     if not any(model.tendon(t).name.startswith("spring_") for t in range(model.ntendon)):
         return inverse
-    # A stretched spring counts as mass in a step: ask the contacts themselves, at a stiffness of none
+    # A spring adds to the effective mass in a step: read it from the contacts, at a negligible stiffness
     soft, data = copy(model), mujoco.MjData(model)
     for index in range(len(geoms)):
         pair = soft.pair(f"foot_{index}")
@@ -172,23 +172,23 @@ def _inverse_masses(model: mujoco.MjModel, geoms: np.ndarray, impedance: float) 
 
 
 def add_tip(spec: mujoco.MjSpec, tip: Fingertip, tcp_height: float) -> None:
-    """Add a round fingertip on a peg below the TCP, that touches nothing yet.
+    """Add a round fingertip on a peg below the TCP, without contacts.
 
     Args:
         spec: scene with arm.
-        tip: ball; a disc where its radius would be no smaller than its height.
-        tcp_height: the TCP over the table, m.
+        tip: fingertip: a ball, or a disc if the radius is at least the height.
+        tcp_height: height of the TCP over the table [m].
     """
     x, y, z = spec.site("gripper/tcp").pos
     radius, _, height = tip
     below = z + tcp_height - height
-    looks = UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
+    visible = UNSEEN | {"group": 2, "rgba": (0.9, 0.2, 0.1, 1.0)}
     hand, ball, peg = spec.body("gripper/base"), mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
     low = radius >= height
-    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(radius, 0, 0), **(UNSEEN if low else looks))
-    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(radius / 2, 0, 0), **looks)
+    hand.add_geom(name="fingertip", type=ball, pos=(x, y, below), size=(radius, 0, 0), **(UNSEEN if low else visible))
+    hand.add_geom(name="peg", type=peg, fromto=(x, y, z, x, y, below), size=(radius / 2, 0, 0), **visible)
     if low:
-        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(radius, height / 2, 0), **looks)
+        hand.add_geom(name="disc", type=peg, pos=(x, y, below), size=(radius, height / 2, 0), **visible)
 
 
 def add_fingertip(
@@ -196,16 +196,15 @@ def add_fingertip(
 ) -> None:
     """Add a round fingertip on a peg below the TCP, a box behind each face, contacts, and sensors of the motion.
 
-    A face's box goes as deep as a cell, so that the fingertip meets no seam within a face; of an outline that is not
-    the cells' it is thin, for sharp corners. The fingertip is a ball; a low object meets a disc, whose edge is that of
-    a ball that is not drawn.
+    The box of a face is as deep as a cell, so that a face has no seams; if the outline is not that of the cells, it is
+    thin, for sharp corners. Contacts are those of a ball; for a low object the ball is hidden, and a disc is drawn.
 
     Args:
         spec: scene with arm and object.
         shape: geometry of the object.
         frames: frame of every mass group, at the object's middle.
-        tip: the ball.
-        grip: height of the TCP, and a contact's damping.
+        tip: radius, friction and height of the fingertip.
+        grip: height of the TCP, and damping of a contact.
     """
     add_tip(spec, tip, grip.tcp_height)
     depth = shape.cell / 2 if not len(shape.sides) else _THIN

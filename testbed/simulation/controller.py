@@ -17,7 +17,7 @@ class Servo:
     """Outer loop of one trial.
 
     The inner loop, inside MuJoCo, is the position servo of gen3.xml. Its actuators integrate a joint speed, so targets
-    move smoothly between ticks without a call per step.
+    move smoothly between ticks without a command per step.
     """
 
     def __init__(self, data: mujoco.MjData, motion: Motion, settings: SimulationSettings):
@@ -32,13 +32,13 @@ class Servo:
         self._shift = np.zeros(7)
         self._tare = np.zeros(6)
         self._jacobian = np.zeros((6, model.nv))
-        # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
+        # Views of the simulation's state: a look-up at every tick would cost as much as the control law
         self._position, self._target, self._control = data.qpos[:7], data.act[:7], data.ctrl
         self._force, self._torque = data.sensor("ft/force").data, data.sensor("ft/torque").data
         self._rotation, self._place = sensor.xmat.reshape(3, 3), sensor.xpos
         self._tcp, self._tcp_at = tcp.id, tcp.xpos
         self._weld = model.equality("weld").id if settings.grip.mode == "weld" else None
-        # what it gathered on the way down would shift the hand as it closes
+        # An integral from the descent would shift the hand as it closes
         self._integrates = motion.phase >= Phase.GRASP
         self._holds = (motion.phase >= Phase.SETTLE) & (motion.phase < Phase.RELEASE)
         self._tares, self._settles = motion.phase == Phase.TARE, motion.phase == Phase.SETTLE
@@ -71,7 +71,7 @@ class Servo:
         data.eq_active[self._weld] = held
 
     def measure(self, tick: int) -> None:
-        """Read the sensor as the robot does: zero it while hovering, null load and tilt in `nulling` ticks."""
+        """Read the sensor as the robot does: tare it while hovering, null load and tilt in `nulling` ticks."""
         if self._tares[tick]:
             self._tare = self._wrench_world()
         elif self._motion.nulling[tick]:
@@ -89,7 +89,7 @@ class Servo:
         torque = wrench[3:] - np.cross(self._tcp_at - self._place, force)
         height = self._tcp_at[2]
         unwanted = np.array([0, 0, force[2], torque[0] - height * force[1], torque[1] + height * force[0], 0])
-        if self._motion.action.pushes:  # a push tilts what it pushes: only the force up or down is unwanted
+        if self._motion.action.pushes:  # a push tilts its object: only the vertical force is unwanted
             unwanted[3:] = 0.0
         mujoco.mj_jacSite(self._data.model, self._data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         return self._jacobian[:, :7].T @ unwanted / self._stiffness

@@ -37,9 +37,9 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
     """Refuse an infeasible trial.
 
     Raises:
-        InfeasibleTrialError: an object too wide or too low to grip, beyond the table's edge, lifting a foot by its own
-            weight or not to be lifted; friction beyond the grip; drag beyond a joint's working torque; or a joint
-            beyond its speed. The message says by how much, and what to change.
+        InfeasibleTrialError: an object that is too wide or too low to grip, passes the table's edge, rests with a
+            lifted foot, or cannot be lifted; friction beyond the grip; drag beyond a joint's working torque; or a joint
+            beyond its speed limit. The message says by how much, and what to change.
     """
     if (tip := trial.action.fingertip(trial.object.shape)) is not None:
         _check_push(trial, tip, motion, settings)
@@ -63,7 +63,7 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
     _check_table(trial, motion, settings)
     loads = resting_loads(trial.object, trial.support, settings.contact)
     _check_rest(trial, loads)
-    if trial.action.in_air:  # it meets no friction, but holds the weight
+    if trial.action.in_air:  # no friction; the grip carries the weight
         _check_lift(trial, grasp, motion, settings)
     else:
         _check_drag(trial, _drags(trial, loads), grasp, motion, settings.grip)
@@ -71,10 +71,10 @@ def check_feasible(trial: Trial, motion: Motion, settings: SimulationSettings) -
 
 
 def _check_push(trial: Trial, tip: Fingertip, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse a push from amid an object, beyond the table's edge, or of too much drag."""
+    """Refuse a push that starts inside the object, passes the table's edge, or has too much drag."""
     shape = trial.object.shape
     trial.action.check_start(shape)
-    # wherever it turns, it stays within its own reach of where the fingertip goes
+    # However the object turns, it stays within its diameter of the fingertip
     reach = float(np.linalg.norm(outline(shape)[:, None] - outline(shape)[None], axis=2).max()) + tip.radius
     (way,) = trial.action.tool_path(shape, motion.object_pose, 1 / settings.rate).ways
     path = way.pose(way.knots)[:, :2]
@@ -99,7 +99,7 @@ def _check_speed(motion: Motion) -> None:
 
 
 def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse an object that passes the table's edge; the scene itself would not show it, since its plane is endless."""
+    """Refuse an object that passes the table's edge: the plane of the scene is infinite."""
     shape = trial.object.shape
     beyond = overhang_of(shape, trial.action.planar_path(shape, motion.object_pose, 1 / settings.rate))
     worst = int(beyond.argmax())
@@ -112,7 +112,7 @@ def _check_table(trial: Trial, motion: Motion, settings: SimulationSettings) -> 
 
 
 def _check_drag(trial: Trial, drags: np.ndarray, grasp: Grasp, motion: Motion, grip: GripSettings) -> None:
-    """Refuse friction under the object beyond grip or joint torques."""
+    """Refuse friction under the object beyond the grip or the joint torques."""
     drag = float(drags.sum())
     torque = float(drags @ np.linalg.norm(trial.object.shape.particles - grasp.position, axis=1))
     if grip.mode == "friction":
@@ -131,15 +131,15 @@ def _check_drag(trial: Trial, drags: np.ndarray, grasp: Grasp, motion: Motion, g
 
 
 def _drags(trial: Trial, loads: np.ndarray) -> np.ndarray:
-    """Friction under every particle [N], shape (P,), by its load at rest [N]."""
-    of = trial.object.shape.friction_group
-    return np.where(of >= 0, trial.object.truth.friction[np.maximum(of, 0)], 0.0) * loads.clip(min=0.0)
+    """Friction under every particle [N], shape (P,), from its load at rest [N]."""
+    group = trial.object.shape.friction_group
+    return np.where(group >= 0, trial.object.truth.friction[np.maximum(group, 0)], 0.0) * loads.clip(min=0.0)
 
 
 def _check_rest(trial: Trial, loads: np.ndarray) -> None:
-    """Refuse a foot that would have to pull: with a lifted foot the loads' laws do not hold.
+    """Refuse a foot that would have to pull: the laws of the loads do not hold with a lifted foot.
 
-    An object whose masses are guessed does rest: it lies there.
+    An object with guessed masses is not refused: the real one rests on the table.
     """
     if not trial.object.masses_known:
         return
@@ -157,7 +157,7 @@ def _check_rest(trial: Trial, loads: np.ndarray) -> None:
 
 
 def _check_torques(motion: Motion, drag: float, torque: float) -> None:
-    """Check static joint torques at the ends and the middle of the path, the drag in the worst direction."""
+    """Check static joint torques at the ends and the middle of the path, with the drag in the worst direction."""
     model = arm_model()
     data = mujoco.MjData(model)
     jacobian = np.zeros((6, model.nv))
@@ -178,7 +178,7 @@ def _check_torques(motion: Motion, drag: float, torque: float) -> None:
 
 
 def _check_lift(trial: Trial, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
-    """Refuse a lift of parts, or one beyond payload, grip or joint torques."""
+    """Refuse a lift of an object in parts, or beyond payload, grip or joint torques."""
     obj = trial.object
     if not trial.support.is_rigid:
         raise InfeasibleTrialError(
@@ -229,13 +229,13 @@ def _mean_distance(width: float, height: float) -> float:
 
 
 def _check_joints(obj: ObjectModel, grasp: Grasp, motion: Motion, settings: SimulationSettings) -> None:
-    """Check joint torques along the path: arm in motion, and the object's weight at its center of mass."""
+    """Check joint torques along the path, from the motion of the arm and the object's weight."""
     model = arm_model()
     data = mujoco.MjData(model)
     limit = model.jnt_actfrcrange[:7, 1]
     hand, tcp = model.body("gripper/base").id, model.site("gripper/tcp").id
     along, across = rotation_2d(-grasp.angle) @ (obj.center_of_mass - grasp.position)
-    # In the hand, whose z axis points down
+    # In the frame of the hand, whose z axis points down
     lever = np.array([along, -across, settings.grip.tcp_height - obj.shape.height / 2])
     qdd = np.gradient(motion.qd, 1 / settings.rate, axis=0)
     jacobian, inertial, qacc = np.zeros((3, model.nv)), np.zeros(model.nv), np.zeros(model.nv)

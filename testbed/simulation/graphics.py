@@ -33,7 +33,7 @@ def choose_offscreen() -> None:
     with _errors_in_a_line():
         import mujoco  # noqa: PLC0415
 
-        _ = mujoco.Renderer  # left out where its libraries are missing
+        _ = mujoco.Renderer  # MuJoCo leaves it out if its libraries are missing
 
 
 def choose_window() -> None:
@@ -72,12 +72,12 @@ def _glfw_error() -> str | None:
 
 @contextmanager
 def offscreen_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
-    """Renderer of pictures of a size [px].
+    """Renderer of pictures of a width and height [px].
 
     Raises:
         NoGraphicsError: no driver.
     """
-    import mujoco  # noqa: PLC0415  with the choice made
+    import mujoco  # noqa: PLC0415  after `choose_offscreen`
 
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     with _errors_in_a_line():
@@ -90,7 +90,7 @@ def offscreen_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterat
 def _errors_in_a_line() -> Iterator[None]:
     try:
         yield
-    except Exception as error:  # which one depends on the library that is missing, and on who misses it
+    except Exception as error:  # its class depends on which library is missing and which module imports it
         chosen = os.environ.get("MUJOCO_GL", "")
         advice = (
             f"install EGL (Debian, Ubuntu: apt-get install {OFFSCREEN_PACKAGES})"

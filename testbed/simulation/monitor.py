@@ -23,12 +23,13 @@ IMPOSSIBLE_SPEED = 20.0
 SATURATION_TIME = 0.1
 """Longest time of a joint at its working torque [s]."""
 TIPPED = math.radians(5.0)
-"""Tilt of a pushed object that tips over [rad]; one that slides on its feet tilts by 1 to 2 degrees."""
+"""Tilt beyond which a pushed object tips over [rad]; an object that slides on its feet tilts by 1 to 2 degrees."""
 LEFT = 0.1
 """Time without contact after which a fingertip has left the object [s]."""
 _FAULTS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """Warnings of a diverged simulation: of positions, velocities and accelerations."""
-_NONE = np.zeros(7)
+_UNSATURATED = np.zeros(7)
+"""Times at the working torque if no joint is saturated [s], shape (7,)."""
 
 _PoseInHand = tuple[np.ndarray, np.ndarray]
 """Position [m] and orientation of the object in the hand."""
@@ -55,7 +56,7 @@ class Monitor:
         model, hand, body = scene.model, data.site("gripper/tcp"), data.body(scene.object_body)
         self._rate, self._data = settings.rate, data
         first = model.sensor("arm/joint_1_torque").adr[0]
-        # Views of the simulation's state: looked up at every tick they cost as much as what is done with them
+        # Views of the simulation's state: a look-up at every tick would cost as much as the checks
         self._velocity, self._sensors = data.qvel[:7], data.sensordata
         self._torques, self._faults = data.sensordata[first : first + 7], data.warning.number[_FAULTS]
         self._hand, self._hand_at = hand.xmat.reshape(3, 3), hand.xpos
@@ -67,14 +68,14 @@ class Monitor:
         self._tip = model.geom("fingertip").id if motion.action.pushes else None
         self._touched, self._least_touched = 0, LEAST_CONTACT * motion.action.pace * self._rate
         self._since = 0
-        self._saturated = _NONE
+        self._saturated = _UNSATURATED
         self._torque = self._speed = self._slip = self._turn = 0.0
         self._status: Status = "ok"
         self._reason = ""
         self._state: dict[str, list[float]] = {}
         self._good: list[float] = []
 
-    def trouble(self, tick: int) -> bool:
+    def must_stop(self, tick: int) -> bool:
         """Check one tick; True if the trial must end."""
         speed = np.abs(self._velocity) / JOINT_SPEED_LIMIT
         fastest = speed.max()
@@ -91,7 +92,9 @@ class Monitor:
         torque = np.abs(self._torques) / self._limit
         largest = torque.max()
         self._torque, self._speed = max(self._torque, largest), max(self._speed, fastest)
-        self._saturated = np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0) if largest > 0.999 else _NONE
+        self._saturated = (
+            np.where(torque > 0.999, self._saturated + 1 / self._rate, 0.0) if largest > 0.999 else _UNSATURATED
+        )
         if self._saturated.max() > SATURATION_TIME:
             joint = int(self._saturated.argmax())
             return self._end(
@@ -109,14 +112,14 @@ class Monitor:
         return self._held[tick] and self._slipped(tick)
 
     def _tipped(self, tick: int) -> bool:
-        """True once a pushed object tips over."""
+        """True if a pushed object has tipped over."""
         upright = self._axes[2, 2]
         if upright > math.cos(TIPPED):
             return False
         return self._end("slipped", f"the object tipped by {math.degrees(TIPPED):.0f} deg at {tick / self._rate:.2f} s")
 
     def _left(self, tick: int) -> bool:
-        """True once the fingertip of a push has left the object."""
+        """True if the fingertip of a push has left the object."""
         if (self._data.contact.geom == self._tip).any():
             self._touched, self._since = self._touched + 1, 0
             return False
@@ -128,6 +131,7 @@ class Monitor:
         return True
 
     def _slipped(self, tick: int) -> bool:
+        """True if the object has slipped in the grip."""
         hand = self._hand.T
         pose = hand @ (self._object_at - self._hand_at), hand @ self._axes
         if self._grasped is None:
@@ -164,7 +168,7 @@ def _shift_on_table(before: _PoseInHand, now: _PoseInHand) -> tuple[float, float
     """Shift of the grasp point [m] and turn of the object [rad], across the approach axis."""
     (x, y), (u, v) = before[1][:2, 0].tolist(), now[1][:2, 0].tolist()
     turn = math.atan2(x * v - y * u, x * u + y * v)
-    # the body's origin is not the grasp point: take the part of its shift that the turn explains away
+    # The body's origin is not the grasp point: subtract the part of its shift that the turn causes
     c, s = math.cos(turn), math.sin(turn)
     (a, b), (p, q) = before[0][:2].tolist(), now[0][:2].tolist()
     return math.hypot(p - c * a + s * b, q - s * a - c * b), abs(turn)
@@ -205,7 +209,7 @@ class ContactRecord:
 
 
 class ContactLog:
-    """Recorder of a `ContactRecord` at every `every`-th tick of a trial."""
+    """Recorder of contact forces at every `every`-th tick of a trial."""
 
     def __init__(self, every: int = 1) -> None:
         self._every, self._rows = every, 0
@@ -223,8 +227,8 @@ class ContactLog:
 
     def measure(self, data: mujoco.MjData, tick: int) -> None:
         """Read the contacts of all feet."""
-        row, between = divmod(tick, self._every)
-        if between:
+        row, remainder = divmod(tick, self._every)
+        if remainder:
             return
         contact, self._rows = data.contact, row + 1
         feet = self._foot[contact.geom]

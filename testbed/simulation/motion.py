@@ -25,8 +25,8 @@ HOVER = 0.06
 _TARE_TIME, _DESCENT_TIME, _CLOSE_TIME, _OPEN_TIME = 0.5, 0.8, 0.8, 0.3
 _TOLERANCE = 1e-7
 _ITERATIONS = 100
-# The arm is redundant: prefer the last joint for turning the tool, and leave the fingers alone
-_MOVE_LAST_JOINT_FIRST = np.array([1e-4] * 6 + [1e-6] + [1e-4] * 2)
+_DAMPING = np.array([1e-4] * 6 + [1e-6] + [1e-4] * 2)
+"""Damping of joints and fingers, shape (9,): the arm is redundant, and turns the tool by its last joint first."""
 
 
 @lru_cache(maxsize=1)
@@ -64,7 +64,7 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
     full[:7] = start
     configuration.update(full)
     task = mink.FrameTask("gripper/tcp", "site", position_cost=1.0, orientation_cost=0.3)
-    damping = mink.DampingTask(model, cost=_MOVE_LAST_JOINT_FIRST[: model.nv])
+    damping = mink.DampingTask(model, cost=_DAMPING[: model.nv])
     down = mink.SO3.from_z_radians(pose[3]) @ mink.SO3.from_x_radians(np.pi)
     tool = mink.SO3.exp(np.array(pose[4:])) @ down if pose[4:] else down
     task.set_target(mink.SE3.from_rotation_and_translation(tool, np.array(pose[:3])))
@@ -74,17 +74,17 @@ def _solve(pose: tuple[float, ...], start: tuple[float, ...]) -> tuple[float, ..
             return tuple(configuration.q[:7])
         velocity = mink.solve_ik(configuration, [task, damping], dt=1.0, solver="daqp", limits=limits)
         configuration.integrate_inplace(velocity, 1.0)
-    left = np.abs(task.compute_error(configuration)).max()
+    error = np.abs(task.compute_error(configuration)).max()
     tilt = f", tilted by {np.degrees(np.linalg.norm(pose[4:])):.1f} deg" if pose[4:] else ""
     raise InfeasibleTrialError(
         f"reach: the arm cannot put the tool at x={pose[0]:.3f} y={pose[1]:.3f} z={pose[2]:.3f} m, "
-        f"yaw {np.degrees(pose[3]):.0f} deg{tilt} (misses by {left:.3g}); "
+        f"yaw {np.degrees(pose[3]):.0f} deg{tilt} (misses by {error:.3g}); "
         "choose a nearer pivot or a shorter slide"
     )
 
 
 def gripper_tool(width: float) -> Tool:
-    """The gripper as the sensor carries it, in the sensor frame, with its pads `width` apart [m]."""
+    """Gripper as the tool below the sensor, in the sensor frame, with its pads `width` apart [m]."""
     model = arm_model()
     data = mujoco.MjData(model)
     for finger in ("gripper/left_finger", "gripper/right_finger"):
@@ -120,14 +120,14 @@ def joints_along(path: ToolPath, height: float, start: np.ndarray) -> tuple[np.n
         start: joint angles near its start, rad, (7,).
     """
     first, *others = path.ways
-    whole = np.array([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0])
-    curve = CubicSpline(first.knots, joint_path(whole + first.pose(first.knots), start))
+    offset = np.array([0.0, 0.0, height, 0.0, 0.0, 0.0, 0.0])
+    curve = CubicSpline(first.knots, joint_path(offset + first.pose(first.knots), start))
     q, qd = curve(first.parameter), curve(first.parameter, 1) * first.rate[:, None]
-    whole, there = whole + first.pose(first.knots[-1:]), curve(first.knots[-1])
+    offset, end = offset + first.pose(first.knots[-1:]), curve(first.knots[-1])
     for way in others:
         before, after = way.knots[way.knots < 0], way.knots[way.knots > 0]
-        down, up = (joint_path(whole + way.pose(knots), there) for knots in (before[::-1], after))
-        curve = CubicSpline(way.knots, np.concatenate([down[::-1], there[None], up]))
+        down, up = (joint_path(offset + way.pose(knots), end) for knots in (before[::-1], after))
+        curve = CubicSpline(way.knots, np.concatenate([down[::-1], end[None], up]))
         moved = (way.parameter != 0) | (way.rate != 0)
         q[moved] = curve(way.parameter[moved])
         qd[moved] = curve(way.parameter[moved], 1) * way.rate[moved, None]
@@ -136,14 +136,14 @@ def joints_along(path: ToolPath, height: float, start: np.ndarray) -> tuple[np.n
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Joint targets and grip at every record tick, N ticks."""
+    """Joint targets and grip at the N ticks of a record."""
 
     action: Action
-    """Action that it makes."""
+    """Action of the trial."""
     start: np.ndarray
-    """First joint angles [rad], shape (7,)."""
+    """Initial joint angles [rad], shape (7,)."""
     object_pose: np.ndarray
-    """First planar pose of the object [m, m, rad], world, shape (3,)."""
+    """Initial planar pose of the object [m, m, rad], world, shape (3,)."""
     center: tuple[float, float]
     """`Action.center`."""
     phase: np.ndarray
@@ -155,7 +155,7 @@ class Motion:
     qd: np.ndarray
     """Joint speeds [rad/s], shape (N, 7)."""
     grip: np.ndarray
-    """Part of the grip force, -1 (opening) to 1, shape (N,)."""
+    """Grip force over that of the settings, from -1 (opening) to 1, shape (N,)."""
     nulling: np.ndarray
     """True while load and tilt are nulled, shape (N,)."""
 

@@ -33,9 +33,9 @@ class View:
     """Viewing direction, and the bodies in the picture."""
 
     azimuth: float
-    """Viewing direction seen from above [deg from the world's x axis]."""
+    """Azimuth of the viewing direction [deg], from the world's x axis."""
     elevation: float
-    """Viewing direction over the horizon [deg]; negative looks down."""
+    """Elevation of the viewing direction over the horizon [deg]; negative looks down."""
     frames: tuple[str, ...]
     """Name prefixes of the bodies in the picture."""
     hides: tuple[str, ...] = ()
@@ -50,15 +50,15 @@ VIEWS: dict[ViewName, View] = {
 FIELD_OF_VIEW = 30.0
 """Vertical field of view [deg], narrow for little perspective."""
 MARGIN = 0.9
-"""Part of the picture's width and height that the framed bodies may fill."""
+"""Share of the picture's width and height that the framed bodies may fill."""
 CAMERA_SAMPLES = 40
-"""Samples of a motion at which the camera keeps everything in the picture."""
+"""Number of samples of a motion at which the camera keeps the framed bodies in the picture."""
 _OPEN = (Phase.TARE, Phase.APPROACH)
 _HELD = (Phase.SETTLE, Phase.RAMP, Phase.STEADY)
 
 
 def light(model: mujoco.MjModel) -> None:
-    """Set even light, a sun over the workspace and a headlight, and a lens that takes in the arm."""
+    """Set a sun over the workspace, a headlight, the field of view, and the default view of the bench."""
     model.vis.global_.fovy = FIELD_OF_VIEW
     model.vis.global_.azimuth, model.vis.global_.elevation = VIEWS["bench"].azimuth, VIEWS["bench"].elevation
     model.stat.center[:] = (0.3, 0.0, 0.25)
@@ -164,7 +164,10 @@ def bench_model(*, meshes: bool = True) -> mujoco.MjModel:
 
 
 def opening(trajectory: Trajectory, pads: tuple[float, float]) -> Float[np.ndarray, "T"]:
-    """Distance between the pads by the phases [m], (T,): `pads` while they hold, and before and after; 0 in a push."""
+    """Distance between the pads from the phases [m], shape (T,); 0 in a push.
+
+    `pads` are the distances while they hold the object, and before and after.
+    """
     phase, count = trajectory.phase, len(trajectory.phase)
     if trajectory.action.pushes:
         return np.zeros(count)
@@ -218,19 +221,19 @@ def body_poses(trajectory: Trajectory, pads: tuple[float, float], *, meshes: boo
 
 
 class Playback:
-    """Scene with the object of a record."""
+    """Scene with the object of a record, at any of its samples."""
 
     def __init__(self, trajectory: Trajectory, obj: ObjectModel, pads: tuple[float, float], *, meshes: bool = True):
         """Compile the scene and show the first sample.
 
         Args:
             trajectory: the record.
-            obj: the moved object; only its looks count.
+            obj: the object; its masses and frictions are not used.
             pads: distance between the pads while they hold it, and before and after [m].
             meshes: see `build_scene`.
 
         Raises:
-            InvalidValueError: a weighing, where nothing moves.
+            InvalidValueError: a weighing, which has no motion.
         """
         if trajectory.tool is None:
             raise InvalidValueError("trial", "a weighing, where nothing moves", "a slide or a turn")
@@ -249,13 +252,13 @@ class Playback:
         self._address = self.model.joint("object").qposadr[0]
         camera = trajectory.camera if obj.shape.chain is not None else None
         links = None if camera is None else camera.at(trajectory.time_s)
-        self._links = None if links is None or np.isnan(links).any() else links  # a camera may not see all
-        if self._links is not None:  # the first hangs on the free joint, each other one on the one before
+        self._links = None if links is None or np.isnan(links).any() else links  # a camera may miss a link
+        if self._links is not None:  # the first link has the free joint, each other one a hinge on the one before
             self._object = self._links[:, 0]
         self.show(0)
 
     def show(self, sample: int) -> None:
-        """Put everything at a sample of the record."""
+        """Put arm, fingers and object at a sample of the record."""
         model, data, address = self.model, self.data, self._address
         pose_bench(model, data, self.trajectory, sample, float(self._opening[sample]))
         if self._in_space is not None:
@@ -265,15 +268,15 @@ class Playback:
             data.qpos[address : address + 2] = x, y  # the height and the upright axis are the model's own
             data.qpos[address + 3 : address + 7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         if self._links is not None:
-            for hinge, turned in enumerate(np.diff(self._links[sample, :, 2])):
-                data.qpos[model.joint(f"hinge_{hinge}").qposadr[0]] = turned
+            for hinge, angle in enumerate(np.diff(self._links[sample, :, 2])):
+                data.qpos[model.joint(f"hinge_{hinge}").qposadr[0]] = angle
         data.time = self.trajectory.time_s[sample]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
 
 
 def object_pose(trajectory: Trajectory) -> Float[np.ndarray, "T 3"]:
-    """Planar pose of the object, world frame [m, m, rad]: by the hand while it holds, else at rest."""
+    """Planar pose of the object, world frame [m, m, rad], from the hand while it holds the object; else at rest."""
     held = np.flatnonzero(trajectory.mask(*_HELD))
     first, last = (held[0], held[-1]) if len(held) else (-1, -1)
     count = len(trajectory.time_s)
@@ -281,12 +284,12 @@ def object_pose(trajectory: Trajectory) -> Float[np.ndarray, "T 3"]:
 
 
 def _in_space(trajectory: Trajectory, middle: float) -> Float[np.ndarray, "T 7"] | None:
-    """Pose of the object's body in a lift [m, wxyz], `middle` over its bottom [m]; None for other actions."""
+    """Pose of the object's body in a lift [m, wxyz], at a height `middle` over its bottom [m]; None otherwise."""
     if not (trajectory.action.in_air and trajectory.mask(Phase.SETTLE).any()):
         return None
     origin, axes = poses_in_space(trajectory)
-    turned = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    return np.hstack([origin + middle * axes[:, :, 2], turned])
+    orientation = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    return np.hstack([origin + middle * axes[:, :, 2], orientation])
 
 
 @contextmanager
@@ -308,8 +311,8 @@ def drawing(
     hide(model, chosen)
     options = mujoco.MjvOption()
     options.sitegroup[:] = 0
-    looks = np.unique(np.linspace(0, len(playback.trajectory.time_s) - 1, CAMERA_SAMPLES).astype(int))
-    eye = camera(model, data, chosen, width / height, playback.show, looks.tolist())
+    samples = np.unique(np.linspace(0, len(playback.trajectory.time_s) - 1, CAMERA_SAMPLES).astype(int))
+    eye = camera(model, data, chosen, width / height, playback.show, samples.tolist())
     with offscreen_renderer(model, width, height) as renderer:
 
         def draw(sample: int) -> UInt8[np.ndarray, "H W 3"]:

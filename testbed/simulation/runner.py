@@ -1,4 +1,4 @@
-"""Trials in MuJoCo: the arm grasps the object on the table and moves it; the result is the sensor's record."""
+"""Trials in MuJoCo: the arm grasps the object on the table and moves it; the result is a trajectory."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 _SETTLE_TIME, _READ_TIME = 1.0, 0.5
 _SHIFTS = (1.0, 0.5, 0.0)
 TOLERANCE_IN_AIR = 1e-12
-"""Tolerance of MuJoCo's solver while only the pads hold the object. At the default 1e-8 the pads' forces and the weight
-may differ by 0.2 N, step after step."""
+"""Tolerance of MuJoCo's solver in lifts. At the default 1e-8 the pads' forces and the weight may differ by 0.2 N at
+every step."""
 
 
 @dataclass(frozen=True)
 class SimulationRunner:
-    """`TrialRunner` in simulation. Entering and leaving it costs nothing."""
+    """`TrialRunner` in simulation. Entering and leaving it does nothing."""
 
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     """Settings of the simulation."""
     secret: str = field(default_factory=new_secret, repr=False)
-    """Text from which the sensor's errors are seeded, with a trial's seed and action; a fresh one if left out, and the
-    same one repeats them."""
+    """Text that seeds the sensor's errors together with a trial's seed and action; random by default. Runners with the
+    same secret draw the same errors."""
     refuses: bool = True
-    """False to run what `check` would refuse, and see it fail: a grasp chosen with estimated masses."""
+    """False to run trials that `check` refuses and that may fail, such as grasps chosen with estimated masses."""
 
     def __enter__(self) -> Self:
         return self
@@ -95,7 +95,7 @@ class SimulationRunner:
             check_feasible(trial, plan_motion(trial.action, trial.object.shape, self.settings), self.settings)
 
     def _motion(self, trial: Trial) -> Motion:
-        """A feasible motion: from the world's drawn start, or one nearer the middle of the workspace."""
+        """Feasible motion from the world's drawn start, or from one nearer the middle of the workspace."""
         start = np.zeros(3) if trial.world is None else trial.world.start(trial.action)
         for part in _SHIFTS if start.any() else (0.0,):
             x, y, yaw = (part * start).tolist()
@@ -127,7 +127,7 @@ class SimulationRunner:
             log.start(scene, len(motion.q))
         servo = Servo(data, motion, self.settings)
         monitor = Monitor(scene, data, motion, self.settings)
-        # A sensor integrates over its sample; one instant a tick would alias with the outer loop's steps
+        # A sample is the mean over its steps, as of a real sensor; an instant would alias with the outer loop
         record, sample = np.empty((len(motion.q), model.nsensordata)), np.zeros(model.nsensordata)
         steps, count, sensors = scene.steps, len(motion.q), data.sensordata
         for tick in range(len(motion.q)):
@@ -142,16 +142,16 @@ class SimulationRunner:
             servo.measure(tick)
             if log is not None:
                 log.measure(data, tick)
-            if monitor.trouble(tick):
+            if monitor.must_stop(tick):
                 count = max(tick, 1)
                 break
-        record = np.nan_to_num(record[:count])  # only a fault in the first sample leaves something to clear
+        record = np.nan_to_num(record[:count])  # not finite only after a fault in the first sample
         outcome = monitor.outcome()
         return _trajectory(trial, motion, model, record, self.settings, outcome)
 
 
 def place(scene: Scene, data: mujoco.MjData, motion: Motion) -> None:
-    """Put arm and object at the start of a motion, with a finer solver for an object that leaves the table."""
+    """Put arm and object at the start of a motion; in a lift, set the solver's tolerance to `TOLERANCE_IN_AIR`."""
     model = scene.model
     if motion.action.in_air:
         model.opt.tolerance = TOLERANCE_IN_AIR
@@ -192,16 +192,16 @@ def _trajectory(
     outcome: Outcome,
 ) -> Trajectory:
     pushed = trial.action.pushes
-    part = settings.rate * model.opt.timestep / 2
+    half_step = settings.rate * model.opt.timestep / 2
 
     def read(name: str) -> np.ndarray:
         first = model.sensor(name).adr[0]
         return record[:, first : first + model.sensor(name).dim[0]]
 
     def moving(name: str) -> np.ndarray:
-        """A step moves by the velocity at its end: the one that goes with a position is half a step younger."""
+        """Velocity at the time of a position: half a step later, since a step moves by the velocity at its end."""
         at_end = read(name)
-        return at_end + part * np.diff(at_end, axis=0, append=at_end[-1:])
+        return at_end + half_step * np.diff(at_end, axis=0, append=at_end[-1:])
 
     tcp = read("gripper/tcp_position")
     twist = np.hstack([moving("gripper/tcp_velocity"), moving("gripper/tcp_angular_velocity")])
@@ -247,16 +247,16 @@ def _trajectory(
 def _links(
     model: mujoco.MjModel, record: np.ndarray, pose: np.ndarray, trial: Trial
 ) -> Float[np.ndarray, "N L 3"] | None:
-    """Poses of the object frame as each link carries it, that of the link in the hand by the hand; None without."""
+    """Poses of each link's object frame [m, m, rad], that of the held link from the hand; None without links."""
     chain, shape = trial.object.shape.chain, trial.object.shape
     if chain is None:
         return None
     found = np.tile(pose[:, None], (1, chain.links, 1))
     for link in set(range(chain.links)) - {chain.link[shape.pressed(trial.grasp)[0]]}:
         place, axes = (model.sensor(f"link_{link}/{kind}").adr[0] for kind in ("position", "orientation"))
-        against = 2 * np.arctan2(record[:, axes + 3], record[:, axes]) - pose[:, 2]
+        relative = 2 * np.arctan2(record[:, axes + 3], record[:, axes]) - pose[:, 2]
         found[:, link, :2] = record[:, place : place + 2]
-        found[:, link, 2] += np.unwrap((against + np.pi) % (2 * np.pi) - np.pi)
+        found[:, link, 2] += np.unwrap((relative + np.pi) % (2 * np.pi) - np.pi)
     return found
 
 
@@ -270,7 +270,7 @@ def _provenance(trial: Trial) -> dict[str, str]:
 
 
 def _as_held(motion: Motion, nominal: Grasp, held: Grasp) -> Motion:
-    """The motion of a hand that goes to the stated grasp, with the object where the pads truly hold it."""
+    """Motion of the hand to the stated grasp, with the object at the pose in which the pads hold it at `held`."""
     tcp, pivot = (transform_point(motion.object_pose, np.array(p)) for p in (nominal.position, motion.center))
     pose = pose_from_point(tcp, held.position, motion.object_pose[2] + nominal.angle - held.angle)
     x, y = rotation_2d(-pose[2]) @ (pivot - pose[:2])
@@ -278,7 +278,7 @@ def _as_held(motion: Motion, nominal: Grasp, held: Grasp) -> Motion:
 
 
 class _Feet:
-    """Positions of the feet [m], world, shape (n_feet, 2), and their speeds [m/s], shape (n_feet,)."""
+    """Feet of a scene, for their positions and speeds."""
 
     def __init__(self, scene: Scene) -> None:
         self._model, self._geoms, self._body = scene.model, scene.foot_geoms, scene.object_body
@@ -286,13 +286,13 @@ class _Feet:
         self._articulated = mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_JOINT, "hinge_0") >= 0
 
     def motion(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and speeds now."""
+        """Positions [m], world, shape (n_feet, 2), and speeds [m/s], shape (n_feet,)."""
         position = data.geom_xpos[self._geoms, :2]
-        if self._articulated:  # links move on their own
-            found = np.zeros((len(position), 6))
-            for geom, twist in zip(self._geoms.tolist(), found, strict=True):
+        if self._articulated:  # each link has a velocity of its own
+            twists = np.zeros((len(position), 6))
+            for geom, twist in zip(self._geoms.tolist(), twists, strict=True):
                 mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, twist, 0)
-            return position, np.hypot(found[:, 3], found[:, 4])
+            return position, np.hypot(twists[:, 3], twists[:, 4])
         (x, y), spin = data.qvel[self._dof : self._dof + 2], data.qvel[self._dof + 5]
         lever = position - data.xpos[self._body, :2]
         return position, np.hypot(x - spin * lever[:, 1], y + spin * lever[:, 0])

@@ -1,4 +1,4 @@
-"""The scene in MuJoCo: table, arm, sensor and gripper; the object with feet under its particles and gripped faces."""
+"""Scene in MuJoCo: table, arm, sensor and gripper; the object with its feet and gripped faces."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from testbed.worlds.draw import WorldDraw
 from testbed.worlds.feet import Feet
 
 HINGE_FRICTION = {"solref_friction": (-1e-6, -2000.0), "solimp_friction": (0.999, 0.999, 0.001, 0.5, 2)}
-"""Friction of a hinge that stops it at once; by MuJoCo's defaults it is viscous below 0.1 rad/s."""
+"""Constraint parameters of dry friction in a hinge; with MuJoCo's defaults it is viscous below 0.1 rad/s."""
 
 
 def set_solver(spec: mujoco.MjSpec, timestep: float, contact: ContactSettings) -> None:
     """Set gravity and a solver for contacts that slide steadily; `timestep` in s."""
     option = spec.option
     option.timestep = timestep
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be seen, not repaired
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # the monitor reports a divergence
     option.gravity = (0.0, 0.0, -GRAVITY)
-    # Stable at large steps, and its sensors report the acceleration by which it moves, unlike other implicit ones
+    # Stable at large steps; unlike with other implicit ones, its sensors report the acceleration of its step
     option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # a quarter faster here than dense
@@ -49,8 +49,8 @@ def add_object(
 ) -> list[mujoco.MjsFrame]:
     """Add one body per mass group (own weight, springs) or one for all (rigid); the first has the free joint.
 
-    Own weight: the others hang on vertical slides, free or joined to their neighbors by springs, so that each group's
-    weight goes to its own feet while all move as one in the plane.
+    With own weight and springs, the other groups are on vertical slides, free or joined to their neighbors by springs:
+    the feet of a group carry its weight, while all groups move as one in the plane.
 
     Args:
         spec: scene to add to.
@@ -58,7 +58,7 @@ def add_object(
         support: support of its weight.
         origin: point of the free joint [m], object frame.
         joined: shape whose groups touch where springs join them; None is the object's own.
-        held: link with the free joint; the others of a chain hang on it by their hinges.
+        held: link with the free joint; hinges join the other links of a chain to it.
 
     Returns:
         The frame of every mass group, at the object's middle.
@@ -101,7 +101,7 @@ def _add_slide(body: mujoco.MjsBody, group: int) -> None:
 def _add_links(
     spec: mujoco.MjSpec, middle: mujoco.MjsFrame, obj: ObjectModel, support: Support, held: int
 ) -> dict[int, mujoco.MjsFrame]:
-    """Add the links of a chain, each on the hinge `hinge_<index>` of one nearer the hand, and the poses of all."""
+    """Add the links of a chain, each by `hinge_<index>` to one nearer the hand, and sensors of their poses."""
     chain = obj.shape.chain
     assert chain is not None
     frames = {held: middle}
@@ -126,7 +126,7 @@ def _add_links(
 def add_cell(
     frame: mujoco.MjsBody | mujoco.MjsFrame, shape: ObjectShape, particle: int, mass: float, **looks: object
 ) -> None:
-    """Add the box of a particle's cell, which touches nothing; mass in kg."""
+    """Add the box of a particle's cell, without contacts; mass in kg."""
     frame.add_geom(
         name=f"cell_{particle}",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -142,7 +142,7 @@ def add_cell(
 def _add_solid(
     spec: mujoco.MjSpec, frame: mujoco.MjsFrame, obj: ObjectModel, group: int, color: tuple[float, ...]
 ) -> None:
-    """Add the solid of a mass group, with its mass and inertia; its feet carry it, and it touches nothing itself."""
+    """Add the solid of a mass group, with its mass and inertia and without contacts: its feet carry it."""
     solid, name = obj.solids[group], f"solid_{group}"
     spec.add_mesh(
         name=name,
@@ -165,11 +165,11 @@ def _add_solid(
 def add_grip(
     spec: mujoco.MjSpec, shape: ObjectShape, frames: list[mujoco.MjsFrame], grasp: Grasp, grip: GripSettings
 ) -> None:
-    """Add a box with the gripped faces to each group that the pads press on, and the pads' contacts with them."""
+    """Add a box with the gripped faces to each group that the pads press on, and its contacts with the pads."""
     top = shape.height if grasp.top is None else grasp.top
     pressed = shape.pressed(grasp)
     names = {group: f"gripped_{group}" for group in pressed}
-    # Of two groups each has the half with its own face
+    # Two groups have half of the box each, with one face
     halves = (0.0,) if len(names) == 1 else (-grasp.width / 4, grasp.width / 4)
     for (group, name), along in zip(names.items(), halves, strict=True):
         x, y = grasp.position + along * np.array([math.cos(grasp.angle), math.sin(grasp.angle)])
@@ -208,9 +208,9 @@ def add_grip(
 
 PUSH_DAMPING = 2000.0
 """Rate at which friction opposes slip of a pushed object [1/s]: feet near the center of rotation are slow, and at the
-rate of a held one their friction falls short."""
+rate of a held object their friction would be too small."""
 PUSH_TIMESTEP = 0.001
-"""Longest physics step of a push [s]: in longer ones the fingertip bounces where it slides along a face."""
+"""Longest physics step of a push [s]; at longer steps a fingertip that slides along a face bounces."""
 HOME = (0.0, 0.62, 3.15, -1.81, -0.01, -0.71, 1.58)
 """Joint angles with the tool pointing down over the middle of the workspace [rad]."""
 mujoco.set_mju_user_warning(lambda message: None)  # a trial's status reports divergence, not a log file
@@ -232,7 +232,7 @@ class Scene:
     origin: tuple[float, float]
     """Point of the object that its body's frame lies on [m], object frame."""
     steps: int
-    """Physics steps a sample."""
+    """Physics steps per sample."""
 
 
 def build_scene(
@@ -251,12 +251,12 @@ def build_scene(
     Args:
         obj: the object as stated.
         support: support of the weight.
-        grasp: the grasp whose faces the pads may touch; None leaves the arm out (the scale), but for a fingertip.
+        grasp: the grasp whose faces the pads may touch; None without the arm (a scale), or with a fingertip.
         settings: contact, grip and servo.
         origin: point of the object that its body's frame lies on [m], object frame. A contact in MuJoCo leaves out the
             centripetal acceleration of that point, by which the object would creep in the grip: in a turn, its center.
         meshes: draw the arm by its meshes if the extra "meshes" is installed; capsules otherwise.
-        draw: the world; None is the ideal one, in which a foot stands under each particle in contact.
+        draw: draw of a world; None is the ideal world, which has a foot under each particle in contact.
         tip: fingertip that may touch all faces; None without.
 
     Raises:
@@ -274,9 +274,10 @@ def build_scene(
         obj = draw.true_object(nominal)
         feet, spec.option.gravity = draw.feet(obj), draw.gravity
     standing = obj.shape.mass_group[obj.shape.friction_group >= 0]
-    clear = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
-    if clear and not support.is_rigid:
-        raise InvalidValueError("support", support.name, f"rigid, since {', '.join(clear)} has no foot to rest on")
+    without_feet = [obj.shape.group_names[g] for g in range(obj.shape.n_m) if g not in standing]
+    if without_feet and not support.is_rigid:
+        names = ", ".join(without_feet)
+        raise InvalidValueError("support", support.name, f"rigid, since {names} has no foot to rest on")
     if grasp is not None or tip is not None:
         attach_arm(spec, meshes=meshes)
     chain, held = obj.shape.chain, 0
@@ -290,7 +291,7 @@ def build_scene(
     lay_level(spec, obj, support, contact, feet, nominal.shape)
     if grasp is not None:
         add_grip(spec, obj.shape, frames, grasp, settings.grip)
-        for finger in ("gripper/left_finger", "gripper/right_finger"):  # opened no further than there is room
+        for finger in ("gripper/left_finger", "gripper/right_finger"):  # the room limits the opening
             spec.joint(finger).range[0] = (STROKE - (grasp.opening or STROKE)) / 2
     if tip is not None:
         add_fingertip(spec, obj.shape, frames, tip, settings.grip)

@@ -22,13 +22,13 @@ class ContactSettings:
     """
 
     sag: float = 0.001
-    """Depth by which the object sinks under its own weight [m]: softness of the foundation, as of thin felt."""
+    """Depth by which the object sinks under its own weight [m]: compliance of the foundation, as of thin felt."""
     impedance: float = 1e-4
     """Constraint impedance of the normal direction, 0 to 1."""
     friction_damping: float = 50.0
-    """Rate at which friction opposes slip [1/s]: it acts against acceleration + this * speed."""
+    """Rate at which friction opposes slip [1/s]: friction opposes acceleration + rate * speed."""
     impratio: float = 1e4
-    """Stiffness of friction over that of the normal direction, large so that sticking feet and pads do not creep."""
+    """Ratio of friction's stiffness to that of the normal direction, large so that sticking contacts do not creep."""
     foot_radius: float = 0.002
     """Radius of a foot's sphere [m]."""
 
@@ -51,7 +51,7 @@ class GripSettings:
     pad_damping: float = 2.0
     """Damping ratio of the pads against a face."""
     friction_damping: float = 5000.0
-    """Rate at which the pads' friction opposes slip [1/s], large so that what turns does not creep in the grip."""
+    """Rate at which the pads' friction opposes slip [1/s], large so that a turned object does not creep in the grip."""
     tcp_height: float = 0.022
     """Height of the TCP over the table while holding [m]: the pads clear the table by 3 mm."""
 
@@ -72,7 +72,7 @@ class ServoSettings:
     null_time: float = 1.5
     """Time for nulling [s]."""
     comply_gain: float = 0.0
-    """Gain of nulling while the object moves."""
+    """Gain of nulling while the object moves; 0 turns it off."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class SimulationSettings:
     """Settings of the simulation."""
 
     timestep: float = 0.005
-    """Physics step [s]; a whole number of them makes a sample."""
+    """Physics step [s]; a sample is a whole number of steps."""
     rate: float = 100.0
     """Rate of the record and of the outer loop [Hz]."""
     contact: ContactSettings = ContactSettings()
@@ -98,5 +98,5 @@ class SimulationSettings:
 
     @property
     def steps(self) -> int:
-        """Physics steps a sample."""
+        """Physics steps per sample."""
         return round(1 / self.rate / self.timestep)

@@ -25,11 +25,11 @@ from testbed.simulation.settings import SimulationSettings
 from testbed.trial import Trial
 
 KEYS = "space starts and stops, backspace begins again, F1 lists all keys; drag to turn, scroll to come nearer"
-"""Keys of the viewer."""
+"""Keys of the viewer, for the user."""
 
 
 class _Scripted:
-    """Environment of the viewer: physics, `reset` and `step`, with no action to choose."""
+    """Environment of the viewer, with physics, `reset` and `step`, and an empty action."""
 
     physics: dm_control.mujoco.Physics
 
@@ -79,9 +79,9 @@ class LiveTrial(_Scripted):
         self._servo.command(self._tick)
         mujoco.mj_step(model, data, self._steps)
         self._servo.measure(self._tick)
-        trouble = self._monitor.trouble(self._tick)
+        stopped = self._monitor.must_stop(self._tick)
         self._tick += 1
-        over = trouble or self._tick == len(self._motion.q)
+        over = stopped or self._tick == len(self._motion.q)
         return dm_env.termination(0.0, {}) if over else dm_env.transition(0.0, {})
 
     @property
@@ -100,7 +100,7 @@ class Replay(_Scripted):
     def __init__(self, playback: Playback):
         self._playback = playback
         self.physics = dm_control.mujoco.Physics.from_model(MjModel(playback.model))
-        playback.data = self.physics.data.ptr  # the data that the viewer shows
+        playback.data = self.physics.data.ptr  # shown by the viewer
         self.reset()
 
     def reset(self) -> dm_env.TimeStep:
@@ -119,7 +119,7 @@ class Replay(_Scripted):
 
 
 def watch(environment: LiveTrial | Replay, title: str) -> None:
-    """Open a window, and return when it is closed or Ctrl-C is pressed; call `rendering.choose_window` first."""
+    """Open a window, and return when it is closed or Ctrl-C is pressed; call `graphics.choose_window` first."""
     from dm_control.viewer.application import Application  # noqa: PLC0415  needs a display as soon as it is imported
 
     interrupted = threading.Event()
@@ -132,9 +132,9 @@ def watch(environment: LiveTrial | Replay, title: str) -> None:
 
     def interrupt(*_) -> None:
         interrupted.set()
-        signal.signal(signal.SIGINT, before)  # a second press ends a frame that hangs
+        signal.signal(signal.SIGINT, before)  # a second Ctrl-C interrupts a frame that hangs
 
-    # Between frames: the viewer takes an exception within a step for an error of the environment, and goes on
+    # Interrupt between frames: the viewer logs an exception within a step as the environment's, and continues
     before = signal.signal(signal.SIGINT, interrupt)
     try:
         with suppress(KeyboardInterrupt):

@@ -14,13 +14,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from scenarios.results.files import write_json
-from testbed import GRAVITY, Accelerate, Action, Rotate, SetupErrors, Slide, Weigh, draw_sensing, load_object, preset
+from testbed import Accelerate, Action, Rotate, SetupErrors, Slide, Weigh, draw_sensing, load_object, preset
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.files import UNSEALED, DamagedFileError, write_sealed, write_whole
 from testbed.foot_forces import FootForces, load_foot_forces, save_foot_forces
 from testbed.replay import Recording, ReplayRunner
 from testbed.sensing.compensation import compensate
-from testbed.simulation.runner import SimulationRunner
 from testbed.trajectory import Phase, Tool, Trajectory, load_trajectory, save_trajectory
 from testbed.trial import RIGID, Trial
 from tests.helpers.records import TOOL, moving_hand, record
@@ -55,24 +54,21 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def test_a_trajectory_comes_back_bit_for_bit(full: Trajectory, tmp_path: Path):
-    save_trajectory(full, tmp_path / "t.parquet")
+@pytest.mark.parametrize("action", [None, Weigh(), Rotate(0), Accelerate(1), Slide(2, 0.5)], ids=lambda a: str(a)[:8])
+def test_a_trajectory_comes_back_bit_for_bit(action: Action | None, full: Trajectory, tmp_path: Path):
+    given = full if action is None else replace(full, action=action, tool=None)
+    save_trajectory(given, tmp_path / "t.parquet")
     back = load_trajectory(tmp_path / "t.parquet")
     for name in SERIES:
-        assert same_bits(getattr(back, name), getattr(full, name)), name
+        assert same_bits(getattr(back, name), getattr(given, name)), name
     for name in ("action", "status", "reason", "setup", "figures", "provenance"):
-        assert getattr(back, name) == getattr(full, name), name
+        assert getattr(back, name) == getattr(given, name), name
+    if given.tool is None:
+        assert back.tool is None
+        return
     assert back.tool is not None and back.tool.mass == TOOL.mass
     for name in ("com", "inertia", "tcp"):
         assert same_bits(getattr(back.tool, name), getattr(TOOL, name)), name
-
-
-@pytest.mark.parametrize("action", [Weigh(), Rotate(0), Accelerate(1), Slide(2, 0.5)], ids=lambda a: type(a).__name__)
-def test_every_action_and_a_missing_tool_come_back(action: Action, tmp_path: Path):
-    save_trajectory(record(20, action=action, tool=None), tmp_path / "t.parquet")
-    back = load_trajectory(tmp_path / "t.parquet")
-    assert back.action == action
-    assert back.tool is None
 
 
 def test_a_file_is_plain_parquet_with_a_json_header(full: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -86,6 +82,15 @@ def test_a_file_is_plain_parquet_with_a_json_header(full: Trajectory, tmp_path: 
     table = pq.read_table(tmp_path / "t.parquet")
     assert {str(kind) for kind in table.schema.types} == {"double", "int64"}
     assert json.loads(table.schema.metadata[b"heft"])["action"]["kind"] == "rotate"
+
+
+def rewrite_header(path: Path, change: Callable[[dict[str, Any]], dict[str, Any]], without: str = "") -> None:
+    """Change the header of a stored trajectory, and drop the columns that `without` names."""
+    table = pq.read_table(path)
+    header = change(json.loads(table.schema.metadata[b"heft"]))
+    table = table.drop_columns([name for name in table.column_names if name in without])
+    changed = table.replace_schema_metadata({"heft": json.dumps(header), "checksum": UNSEALED})
+    write_sealed(path, lambda part: pq.write_table(changed, part))
 
 
 @pytest.mark.parametrize("kept", [None, "text", 0, 0.3, 0.99])
@@ -115,11 +120,7 @@ def test_a_damaged_file_is_refused(full: Trajectory, tmp_path: Path, kept: float
 def test_a_header_of_another_kind_is_refused(full: Trajectory, tmp_path: Path, change, said: str):
     path = tmp_path / "t.parquet"
     save_trajectory(full, path)
-    table = pq.read_table(path)
-    header = change(json.loads(table.schema.metadata[b"heft"]))
-    table = table.drop_columns([name for name in table.column_names if name in said])
-    changed = table.replace_schema_metadata({"heft": json.dumps(header), "checksum": UNSEALED})
-    write_sealed(path, lambda part: pq.write_table(changed, part))
+    rewrite_header(path, change, without=said)
     with pytest.raises(DamagedFileError, match=re.escape(said)):
         load_trajectory(path)
 
@@ -201,17 +202,14 @@ def test_a_trajectory_is_frozen_and_does_not_follow_the_arrays_it_was_made_from(
             getattr(made, name)[0] = 0
 
 
-def test_masks_pick_phases_and_only_ok_is_data():
+def test_properties_of_a_trajectory_and_of_its_setup():
     made = record(6, phase=[0, 0, 1, 4, 5, 6])
     assert made.mask(Phase.TARE, Phase.STEADY).tolist() == [True, True, False, False, True, False]
     assert [record(3, status=s).ok for s in ("ok", "slipped", "limit", "fault")] == [True, False, False, False]
-
-
-def test_a_setup_without_stated_errors_has_none():
     assert SetupErrors().none and not any(SetupErrors(**{name: 1e-3}).none for name in SETUP)
 
 
-def test_they_come_back_as_they_were_and_a_cut_file_is_told(tmp_path):
+def test_foot_forces_come_back_and_a_cut_file_is_refused(tmp_path):
     rng, path = np.random.default_rng(0), tmp_path / "feet.parquet"
     feet = FootForces(np.arange(4) / 10, np.array([5, 1, 7]), rng.normal(size=(4, 3, 3)))
     save_foot_forces(feet, path)
@@ -224,34 +222,27 @@ def test_they_come_back_as_they_were_and_a_cut_file_is_told(tmp_path):
         load_foot_forces(path)
 
 
-def test_in_a_turn_they_carry_the_weight_and_oppose_the_motion():
-    obj = load_object("L2")
-    trajectory, contacts = SimulationRunner().run_with_contacts(Trial(obj, Rotate(0, duration=2.0)), every=10)
-    feet = contacts.foot_forces(trajectory.time_s)
-    assert feet.force.shape == (-(-len(trajectory.time_s) // 10), 54, 3)
-    np.testing.assert_array_equal(feet.time_s, trajectory.time_s[::10])
-    steady = np.flatnonzero(trajectory.phase[::10] == Phase.STEADY)[10:-1]
-    weight = feet.force[steady, :, 2].sum(1)
-    np.testing.assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the gripper carries the rest
-    drag = np.linalg.norm(feet.force[steady, :, :2], axis=2)
-    far = np.linalg.norm(obj.shape.particles[feet.particle] - obj.shape.grasps[0].position, axis=1) > 0.03
-    np.testing.assert_allclose(drag[:, far], 0.5 * feet.force[steady][:, far, 2], rtol=0.01)
-
-
 L2, F2 = load_object("L2"), load_object("F2")
 TURN = Rotate(1, duration=3.0, back=True)
 
 
-def taken(name: str = "L2", action: Action = TURN, mark: float = 0.0, **said: str) -> Trajectory:
-    """A record from a bench, told apart by its first reading."""
+def taken(name: str = "L2", action: Action = TURN, mark: float = 0.0, **provenance: str) -> Trajectory:
+    """Record of a bench, with a mark as its first reading."""
     wrench = np.zeros((400, 6))
     wrench[0, 0] = mark
-    provenance = {"runner": "robot", "object": name, **said}
-    return record(action=action, sensor_wrench=wrench, provenance={k: v for k, v in provenance.items() if v})
+    named = {"object": name} if name else {}
+    return record(action=action, sensor_wrench=wrench, provenance={"runner": "robot"} | named | provenance)
 
 
 def mark_of(trajectory: Trajectory) -> float:
     return float(trajectory.sensor_wrench[0, 0])
+
+
+def put(root: Path, key: str, trajectory: Trajectory, content: dict[str, object] | None) -> None:
+    """Store a trial in a results folder; one that did not finish has no content."""
+    save_trajectory(trajectory, root / "trials" / key / "trajectory.parquet")
+    if content is not None:
+        write_json(root / "trials" / key / "trial.json", content)
 
 
 @pytest.fixture
@@ -279,14 +270,17 @@ def test_repeats_come_in_order_and_come_to_an_end(folder: Path):
                 runner.run(Trial(L2, TURN))
 
 
-def test_what_was_never_recorded_is_refused_with_what_there_is(folder: Path):
-    with pytest.raises(
-        InfeasibleTrialError,
-        match=r"no L2: rotate \(grasp 0.*support own_weight; it has L2: rotate \(grasp 1, .*; F2: rotate .*; L2: slide",
-    ):
-        ReplayRunner(folder).run(Trial(L2, Rotate(0)))
-    with pytest.raises(InfeasibleTrialError, match="no L2: weigh, support own_weight"):
-        ReplayRunner(folder).run(Trial(L2, Weigh()))
+def test_a_trial_without_a_record_is_refused_with_those_there_are(folder: Path, tmp_path: Path):
+    put(tmp_path / "results", "k1", taken(""), {"asked": {}})
+    there = r"no L2: rotate \(grasp 0.*support own_weight; it has L2: rotate \(grasp 1, .*; F2: rotate .*; L2: slide"
+    refused = [
+        (folder, Trial(L2, Rotate(0)), there),
+        (folder, Trial(L2, Weigh()), "no L2: weigh, support own_weight"),
+        (tmp_path / "results", Trial(L2, TURN), "it has an object without a name: rotate"),
+    ]
+    for root, trial, message in refused:
+        with pytest.raises(InfeasibleTrialError, match=message):
+            ReplayRunner(root).run(trial)
 
 
 @pytest.mark.parametrize(
@@ -307,14 +301,7 @@ def test_records_fit_by_what_they_say_and_come_in_the_order_of_recording(records
     assert [mark_of(runner.run(trial)) for _ in marks] == marks
 
 
-def put(root: Path, key: str, trajectory: Trajectory, said: dict[str, object] | None) -> None:
-    """A trial as a results folder has it."""
-    save_trajectory(trajectory, root / "trials" / key / "trajectory.parquet")
-    if said is not None:
-        write_json(root / "trials" / key / "trial.json", said)
-
-
-def test_a_results_folder_says_which_object_it_was(tmp_path: Path):
+def test_a_results_folder_names_the_object(tmp_path: Path):
     put(tmp_path, "k1", taken("", mark=1.0), {"names": {"object": "F2"}})
     put(tmp_path, "k2", taken("", mark=2.0), {"names": {"object": "L2"}})
     put(tmp_path, "k3", taken("", mark=3.0), None)  # never finished
@@ -323,13 +310,7 @@ def test_a_results_folder_says_which_object_it_was(tmp_path: Path):
     assert len(runner.recordings) == 2
 
 
-def test_a_results_folder_that_does_not_say_it_is_refused(tmp_path: Path):
-    put(tmp_path, "k1", taken(""), {"asked": {}})
-    with pytest.raises(InfeasibleTrialError, match=r"it has an object without a name: rotate"):
-        ReplayRunner(tmp_path).run(Trial(L2, TURN))
-
-
-def test_a_simulated_record_gets_the_trials_draw(tmp_path: Path):
+def test_a_simulated_record_gets_the_trials_draw_and_a_measured_one_none(tmp_path: Path):
     clean = moving_hand(wrench_world=np.arange(6.0))
     clean = replace(clean, provenance={"runner": "simulation", "support": "own_weight"})
     save_trajectory(clean, tmp_path / "a.parquet")
@@ -338,33 +319,24 @@ def test_a_simulated_record_gets_the_trials_draw(tmp_path: Path):
     expected = draw_sensing(clean, preset("ft300s"), trial.seed_under("s"))
     assert np.array_equal(given.wrench_on_object_world, expected.wrench_on_object_world)
     assert not given.is_clean
-
-
-def test_what_a_bench_measured_takes_no_draw(tmp_path: Path):
     measured = compensate(replace(moving_hand(), provenance={"runner": "robot"}))
     save_trajectory(measured, tmp_path / "a.parquet")
-    given = ReplayRunner(tmp_path).run(Trial(L2, Rotate(0), sensing="ft300s", seed=3))
+    given = ReplayRunner(tmp_path).run(trial)
     assert np.array_equal(given.sensor_wrench, measured.sensor_wrench)
     assert np.array_equal(given.wrench_on_object_world, measured.wrench_on_object_world)
 
 
-def test_a_folder_without_records_or_with_a_stranger_among_them_is_refused(tmp_path: Path):
+def test_a_folder_without_records_or_with_another_file_among_them_is_refused(tmp_path: Path):
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(InvalidValueError, match=r"replay folder: .*a results folder, or one of trajectory files"):
             ReplayRunner(folder)
-    (tmp_path / "x.parquet").write_text("time_s\n0.1\n")
-    with pytest.raises(DamagedFileError, match=r"x\.parquet: not a trajectory file"):
-        ReplayRunner(tmp_path)
-
-
-def test_a_record_of_an_unknown_action_is_named(tmp_path: Path):
     path = tmp_path / "a.parquet"
     save_trajectory(record(), path)
-    table = pq.read_table(path)
-    header = json.loads(table.schema.metadata[b"heft"])
-    header["action"]["kind"] = "twist"
-    pq.write_table(table.replace_schema_metadata({"heft": json.dumps(header)}), path)
+    rewrite_header(path, lambda header: header | {"action": header["action"] | {"kind": "twist"}})
     with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file: action\.kind: got 'twist'"):
+        ReplayRunner(tmp_path)
+    path.write_text("time_s\n0.1\n")
+    with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file"):
         ReplayRunner(tmp_path)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,13 +15,12 @@ from testbed.sensing.compensation import compensate
 from testbed.sensing.windows import SteadyWindow, steady_samples, steady_windows, weight_of
 from testbed.simulation import feasibility
 from testbed.simulation.controller import Servo
-from testbed.simulation.monitor import ContactRecord
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from testbed.trial import OWN_WEIGHT, RIGID, Support, Trial
 from tests.fakes.analytic_links import drawn_chain
 from tests.helpers.blocks import blocks
 
-RUNNER = SimulationRunner()
+RUNNER, SPRINGS = SimulationRunner(), Support(300.0)
 TURN = Rotate(2, duration=2.5, pivot=(-0.0333, 0.025))
 
 
@@ -59,9 +58,9 @@ def missing(obj: ObjectModel, window: SteadyWindow, rigid: bool = False) -> np.n
 
 
 @cache
-def turned(support: Support):
-    """Record of a turn of L2, and the contact forces."""
-    return RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support))
+def turned(support: Support, every: int = 1):
+    """Record of a turn of L2, and the contact forces at every `every`-th sample."""
+    return RUNNER.run_with_contacts(Trial(load_object("L2"), TURN, support), every)
 
 
 @pytest.mark.parametrize("support", [OWN_WEIGHT, RIGID], ids=lambda s: s.name)
@@ -98,37 +97,42 @@ def test_a_held_object_does_not_swing():
 def test_the_hand_closes_where_the_grasp_is_and_the_object_stays_in_it():
     """What the robot knows of the object's pose is where it meant to grasp it."""
     obj = load_object("L2")
-    record, contacts = RUNNER.run_with_contacts(Trial(obj, Accelerate(4)))
+    record, contacts = RUNNER.run_with_contacts(Trial(obj, Accelerate(4, (1.5, -1.5))))
     middle = transform_point(record.object_pose, obj.shape.particles.mean(axis=0))
     off = contacts.position[:, :, :2].mean(axis=1) - middle
     assert np.abs(off[record.mask(Phase.SETTLE)]).max() < 1e-5
     assert record.figures["slip_m"] < 3e-5
 
 
-def dragged() -> ContactRecord:
-    """Contact forces of a slide of blocks in links, across them."""
-    return RUNNER.run_with_contacts(Trial(drawn_chain(2), Slide(0, math.pi / 2)))[1]
+CONTACTS = {
+    "own weight": lambda: turned(OWN_WEIGHT)[1],
+    "springs": lambda: turned(SPRINGS, 10)[1],
+    "rigid": lambda: turned(RIGID)[1],
+    "links": lambda: RUNNER.run_with_contacts(Trial(drawn_chain(2), Slide(0, math.pi / 2, duration=1.0)))[1],
+}
 
 
-@pytest.mark.parametrize(
-    "contacts",
-    [
-        *(partial(lambda support: turned(support)[1], support) for support in (OWN_WEIGHT, Support(300.0), RIGID)),
-        dragged,
-    ],
-    ids=["own weight", "springs", "rigid", "links"],
-)
-def test_every_foot_pushes_at_the_height_of_the_table(contacts):
+@pytest.mark.parametrize("name", CONTACTS)
+def test_every_foot_pushes_at_the_height_of_the_table(name: str):
     """However heavy its group is: drag at another height is another moment on the hand."""
-    contacts = contacts()
+    contacts = CONTACTS[name]()
     load, height = contacts.force_on_object[:, :, 2], contacts.position[:, :, 2]
     assert_allclose((load * height).sum() / load.sum(), 0.0, atol=2e-5)
     assert_allclose(height[load > 0], 0.0, atol=1e-4)
 
 
-def test_a_sample_is_a_whole_number_of_steps():
-    with pytest.raises(InvalidValueError, match="or a whole part of it"):
-        SimulationSettings(timestep=0.003)
+def test_foot_forces_of_a_turn_carry_the_weight_and_oppose_the_motion():
+    obj, (trajectory, contacts) = load_object("L2"), turned(SPRINGS, 10)
+    feet = contacts.foot_forces(trajectory.time_s)
+    assert feet.force.shape == (-(-len(trajectory.time_s) // 10), 54, 3)
+    assert np.array_equal(feet.time_s, trajectory.time_s[::10])
+    steady = np.flatnonzero(trajectory.phase[::10] == Phase.STEADY)[10:-1]
+    weight = feet.force[steady, :, 2].sum(1)
+    assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the gripper carries the rest
+    drag = np.linalg.norm(feet.force[steady, :, :2], axis=2)
+    grasp = obj.shape.grasps[TURN.grasp].position
+    far = np.linalg.norm(obj.shape.particles[feet.particle] - grasp, axis=1) > 0.03
+    assert_allclose(drag[:, far], 0.5 * feet.force[steady][:, far, 2], rtol=0.01)
 
 
 def test_there_and_back_flips_the_drag():
@@ -191,7 +195,7 @@ def test_a_weld_measures_what_friction_does():
 
 
 def test_the_same_trial_gives_the_same_record():
-    trial = Trial(row([0.3, 0.3]), Rotate(0, duration=1.6))
+    trial = Trial(row([0.3, 0.3]), Rotate(0, duration=0.5))
     first, second = RUNNER.run(trial), RUNNER.run(trial)
     assert np.array_equal(first.sensor_wrench, second.sensor_wrench)
 
@@ -215,7 +219,7 @@ def low_faces() -> ObjectModel:
         (row([0.4, 0.4], size=0.085), Rotate(0), "friction", "grip: .* 85 mm wide"),
         (row([0.4, 0.4], height=0.005), Rotate(0), "friction", "grip: .* 5 mm high"),
         (low_faces(), Rotate(0), "friction", r"grip: the faces of handle_neck are 14\.0 to 16\.5 mm"),
-        (row([0.4, 0.4]), Rotate(0, speed=2.0), "friction", "speed: joint 7 "),
+        (row([0.4, 0.4]), Rotate(0, speed=2.0, duration=1.0), "friction", "speed: joint 7 "),
         (row([0.4, 0.4]), Slide(0, duration=30.0), "friction", "reach: "),
         (row([8.0, 8.0, 8.0, 8.0]), Rotate(0), "weld", r"torque: joint \d"),
         (bridge(), Rotate(0), "friction", "grip: torque"),
@@ -228,7 +232,9 @@ def test_an_infeasible_trial_is_refused_before_anything_moves(obj, action, grip,
         SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action, support))
 
 
-def test_a_trial_under_a_sensor_that_does_not_exist_is_refused():
+def test_a_setting_or_sensor_that_does_not_exist_is_refused():
+    with pytest.raises(InvalidValueError, match="or a whole part of it"):
+        SimulationSettings(timestep=0.003)
     with pytest.raises(InvalidValueError, match=r"^sensing: got 'ft300'; allowed: one of ideal, ft300s"):
         Trial(row([0.4, 0.4]), Rotate(0), sensing="ft300")
 

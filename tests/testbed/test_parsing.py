@@ -1,9 +1,10 @@
-"""Parsing of untrusted files in a limited process, errors in a line, and packages without extras."""
+"""Parsing of untrusted files in a limited process, TOML, pickled errors, and hidden packages."""
 
 import os
 import pickle
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from testbed.errors import InvalidValueError
 from testbed.packages import hidden_package
 from testbed.parsing import process
 from testbed.parsing.process import ParserError, parsed
+from testbed.toml import toml_text
 
 pytestmark = pytest.mark.own_process
 PARSER = """
@@ -91,6 +93,12 @@ def test_an_error_is_the_same_in_another_process(kind, file):
     assert type(again) is kind
     assert str(again) == str(error)
     assert (again.field, again.given, again.allowed, again.file) == ("mass_kg", [-1.0], "numbers > 0", file)
+
+
+def test_every_character_of_toml_comes_back():
+    text = "".join(map(chr, range(0x80))) + "é😀"
+    table = {text: text, "list": [text]}
+    assert tomllib.loads(toml_text(table)) == table
 
 
 ROOT = Path(__file__).parent.parent.parent

@@ -1,4 +1,4 @@
-"""Tests of pushes in MuJoCo: contact, motion, what a camera sees of it, and what is refused."""
+"""Tests of pushes in MuJoCo: contact, motion, poses by a camera, playback, and refusals."""
 
 import math
 from dataclasses import replace
@@ -84,8 +84,8 @@ def test_a_fingertip_slides_along_a_face_without_bouncing():
 
 @pytest.mark.slow
 def test_playback_shows_the_fingertip_at_the_object():
-    """The hand is closed; the drawn fingertip touches the outline where the record has it."""
-    clean = RUNNER.run_clean(Trial(BLOCKS, Push((-0.05, 0.0), 0.0, speed=0.05, length=0.06)))
+    """The hand is closed, and the drawn fingertip touches the outline."""
+    clean = through_the_middle()
     fingertip = clean.action.fingertip(BLOCKS.shape)
     assert fingertip is not None
     shown = Playback(clean, BLOCKS, (0.0, 0.085), meshes=False)
@@ -131,8 +131,8 @@ def test_what_cannot_be_pushed_is_refused():
         (BLOCKS, replace(inwards, length=2.0), "table|reach"),
         (ring, hole, "push: .* smaller fingertip"),
     ]
-    for obj, action, why in refused:
-        with pytest.raises(InfeasibleTrialError, match=why):
+    for obj, action, message in refused:
+        with pytest.raises(InfeasibleTrialError, match=message):
             RUNNER.check(Trial(obj, action))
     RUNNER.check(Trial(ring, replace(hole, radius=0.006)))
 

@@ -31,6 +31,12 @@ TURN = Trial(load_object("L2"), Rotate(2, duration=0.5))
 NO_DISPLAY = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
 
 
+def run(*words: str, display: str) -> subprocess.CompletedProcess[str]:
+    """Python on a display."""
+    command, env = [sys.executable, *words], NO_DISPLAY | {"DISPLAY": display}
+    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
+
+
 def steps(shown: LiveTrial | Replay) -> int:
     """Run it to its end."""
     assert shown.reset().first()
@@ -78,8 +84,15 @@ def test_a_weighing_has_no_motion_and_no_feet(show, allowed: str):
         show(Trial(load_object("L2"), Weigh()))
 
 
-def test_a_replay_steps_through_the_record(tmp_path):
-    record = read_trial(tmp_path, put_trial(tmp_path, "L2", Slide(1, duration=0.3)))
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> tuple[Path, str]:
+    """Results folder with a slide, and the trial's key."""
+    root = tmp_path_factory.mktemp("results")
+    return root, put_trial(root, "L2", Slide(1, duration=0.3))
+
+
+def test_a_replay_steps_through_the_record(recorded):
+    record = read_trial(*recorded)
     replay = Replay(Playback(record.trajectory, record.object, record.pads, meshes=False))
     time_s, joints = record.trajectory.time_s, record.trajectory.joint_position
     assert replay.physics.time() == time_s[0]
@@ -101,10 +114,11 @@ def test_grasps_are_named():
         grasp_index(shape, "nose")
 
 
-def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+def test_without_a_display_a_line_says_what_to_do(recorded, monkeypatch: pytest.MonkeyPatch, capsys):
+    root, key = recorded
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    for words in (["L2"], [str(tmp_path), put_trial(tmp_path, "L2", Slide(1, duration=0.1))]):
+    for words in (["L2"], [str(root), key]):
         assert ended("watch", *words) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert (
@@ -115,9 +129,7 @@ def test_without_a_display_a_line_says_what_to_do(tmp_path: Path, monkeypatch: p
 @pytest.mark.slow
 def test_a_display_that_does_not_answer_is_named():
     """In a process of its own, which has yet to import MuJoCo."""
-    command = [sys.executable, "-m", "scenarios", "watch", "L2"]
-    env = NO_DISPLAY | {"DISPLAY": ":9871"}
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60)
+    done = run("-m", "scenarios", "watch", "L2", display=":9871")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("heft: cannot open a window on display :9871") and "heft view DIR TRIAL --film" in line
@@ -211,9 +223,6 @@ print("closed", signal.getsignal(signal.SIGINT) is before)
 
 @pytest.mark.slow
 def test_ctrl_c_within_a_step_is_heard(display):
-    env = NO_DISPLAY | {"DISPLAY": display}
-    done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED], cwd=ROOT, env=env, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = run("-c", INTERRUPTED, display=display)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["pressed", "closed", "True"]

@@ -292,7 +292,7 @@ REFUSED = [
     (partial(preset, "ft300s:camera=eye"), "sensing", "a camera of exact, 30hz"),
     (partial(Camera, "blind", dropout=1.0), "Camera.dropout", "a share below 1"),
     (partial(Camera, "early", delay=(0.05, 0.01)), "Camera.delay", "the least first"),
-    (partial(PoseStream, [0.0, 0.0, 1.0], FRAMES), "PoseStream.time_s", "strictly increasing"),
+    (partial(PoseStream, np.array([0.0, 0.0, 1.0]), FRAMES), "PoseStream.time_s", "strictly increasing"),
     (partial(PoseStream, THREE, HALF_FRAME), "PoseStream.poses", "whole poses"),
     (partial(PoseStream, THREE, FRAMES, position_std=-1), "PoseStream.position_std", ">= 0"),
     (partial(PoseStream(THREE, FRAMES).motion, np.zeros(1), part=1), "part", "<= 0"),

@@ -11,7 +11,6 @@ from testbed.importers.tables import TableLog
 from tests.fakes.lab_bench import write_messages
 
 pytest.importorskip("mcap.writer")
-pytestmark = pytest.mark.own_process
 
 
 def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
@@ -23,11 +22,12 @@ def written(path: Path, kind: str, encoding: str, definition: str) -> Path:
 @pytest.mark.parametrize(
     ("kind", "encoding", "definition", "reason"),
     [
-        (
+        pytest.param(
             "a/msg/A",
             "ros2idl",
             f"module a {{ module msg {{ const long N = {'(' * 24}1{')' * 24}; struct A {{ double x; }}; }}; }};",
             "brackets nested 24 deep",
+            marks=pytest.mark.own_process,
         ),
         ("a/msg/A", "ros2msg", f"a/B[1000000000] x\n{'=' * 80}\nMSG: a/B\n", "an array of 1000000000 items"),
         ("a/msg/A", "ros2idl", "module a { module msg { struct A { double x[3][1000000]; }; }; };", "of 1000000 items"),

@@ -13,7 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from testbed import Accelerate, HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
+from estimators.testing.recorded import load_block
+from testbed import HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import Mapping
@@ -37,6 +38,7 @@ from tests.fakes.lab_bench import (
 from tests.helpers.records import series_of
 from tests.helpers.simulated import clean
 
+POSITION, QUATERNION = ["px", "py", "pz"], ["qx", "qy", "qz", "qw"]
 TURN = Rotate(2, duration=2.0, pivot=(-0.0333, 0.025), back=True)
 
 
@@ -95,10 +97,11 @@ def test_provenance_names_the_source_and_is_saved(back: Trajectory, tmp_path: Pa
     assert load_trajectory(tmp_path / "t.parquet").provenance == back.provenance
 
 
-@pytest.mark.parametrize("which", ["turn", "slide"])
-def test_phases_are_found_from_the_motion(which: str, request: pytest.FixtureRequest, tmp_path: Path):
-    original: Trajectory = request.getfixturevalue(which)
-    found = import_csv(tmp_path, original)
+@pytest.mark.parametrize("kind", ["turn", "slide"])
+def test_phases_are_found_from_the_motion(
+    kind: str, turn: Trajectory, slide: Trajectory, back: Trajectory, tmp_path: Path
+):
+    original, found = (turn, back) if kind == "turn" else (slide, import_csv(tmp_path, slide))
     for segment in range(original.segment.max() + 1):
         mine, theirs = (np.flatnonzero(t.segment == segment) for t in (found, original))
         # The hand overshoots as the object breaks loose: its speed is constant a fifth of a second late
@@ -121,7 +124,7 @@ def test_a_second_tare_is_found_and_its_drift_judged(turn: Trajectory, tmp_path:
 
 
 def test_phases_can_be_given(tmp_path: Path):
-    original = compensate(clean("L2", Accelerate(1)))
+    original = load_block("L2-own_weight").clean[0]
     given = import_csv(tmp_path, original, mapping_of(original, phases=phases_of(original)))
     assert np.array_equal(given.segment, original.segment)
     windows_agree(given, original, 0.05)
@@ -144,21 +147,17 @@ def test_a_turn_about_another_axis_than_the_vertical_is_refused(turn: Trajectory
     assert "about x, y and z; allowed: about z" in error
 
 
-def test_a_base_with_another_axis_up_is_turned(slide: Trajectory, turn: Trajectory, tmp_path: Path):
+def test_a_base_with_another_axis_up_is_turned(turn: Trajectory, back: Trajectory, tmp_path: Path):
     """y up, as motion capture has it: (x, y, z) of the base is (x, z, -y) of the log."""
-    up = Rotation.from_rotvec([math.pi / 2, 0, 0])
-    for trial in (turn, slide):
-        path = write_csv(tmp_path / "log.csv", trial)
-        table, straight = pd.read_csv(path), imported(path, mapping_of(trial))
-        table[["px", "py", "pz"]] = up.inv().apply(table[["px", "py", "pz"]])
-        table[["qx", "qy", "qz", "qw"]] = (up.inv() * Rotation.from_quat(table[["qx", "qy", "qz", "qw"]])).as_quat()
-        table.to_csv(path, index=False)
-        mapping = mapping_of(trial)
-        hand = mapping["hand"] | {"base_wxyz": up.as_quat(scalar_first=True).tolist()}
-        windows_agree(imported(path, mapping | {"hand": hand}), straight, 1e-6)
+    up, logged, mapping = Rotation.from_rotvec([math.pi / 2, 0, 0]), columns(turn), mapping_of(turn)
+    position, quaternion = (np.column_stack([logged[n] for n in names]) for names in (POSITION, QUATERNION))
+    more = dict(zip(POSITION, up.inv().apply(position).T, strict=True))
+    more |= dict(zip(QUATERNION, (up.inv() * Rotation.from_quat(quaternion)).as_quat().T, strict=True))
+    mapping["hand"]["base_wxyz"] = up.as_quat(scalar_first=True).tolist()
+    windows_agree(import_csv(tmp_path, turn, mapping, **more), back, 1e-6)
 
 
-@pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(100.0, 40.0), (62.5, 100.0), (1000.0, 500.0)])
+@pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(62.5, 100.0), (1000.0, 500.0)])
 def test_rates_are_brought_together(turn: Trajectory, tmp_path: Path, sensor_hz: float, hand_hz: float):
     path = write_joined_csv(tmp_path / "log.csv", *at_other_rates(turn, sensor_hz, hand_hz))
     found = imported(path, mapping_of(turn, time={"column": "stamp"}))
@@ -207,12 +206,16 @@ def test_an_mcap_comes_back_and_its_errors_name_the_nearest(turn: Trajectory, tm
     assert "cut.mcap: " in refused(cut, mapping)
 
 
-WRONG: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "sensor.force, sensor.torque: got 'Fx'; allowed: one of stamp, fx"),
-    ({"sensor": {"force": ["Fx", "fy", "fz"]}}, "(nearest: fx)"),
+WRONG: tuple[tuple[Any, ...], ...] = (
+    (
+        {"sensor": {"force": ["Fx", "fy", "fz"]}},
+        "sensor.force, sensor.torque: got 'Fx'; allowed: one of stamp, fx",
+        "(nearest: fx)",
+    ),
     ({"time": {"column": "time"}}, "time.column: got 'time'"),
     ({"sensor": {"force_unit": "n"}}, "sensor.force_unit: got 'n'; allowed: a unit of force: N, mN"),
     ({"sensor": {"torque_unit": "Nm"}}, "(nearest: N m)"),
+    ({"sensor": {"torque_unit": "N*mm"}}, "(nearest: N mm)"),
     ({"hand": {"position_unit": "inch"}}, "a unit of length: m, cm, mm"),
     ({"sensor": {"sign": 0}}, "sensor.sign: got 0"),
     ({"sensor": {"tipoc": "/ft"}}, "sensor.tipoc: no such field; got '/ft' (nearest: topic)"),
@@ -228,8 +231,7 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"action": {"kind": "rotate", "grasp": 0, "pivot": [0, 11]}}, "action.pivot: got [0, 11]; allowed: within 10 m"),
     ({"action": {"kind": "rotate"}}, "fields grasp"),
     ({"action": {"kind": "rotate", "grasp": 99}}, "action.grasp: got 99; allowed: 0 ("),
-    ({"action": {"kind": "rotate", "grasp": "A22"}}, "action.grasp: got 'A22'; allowed: 0 ("),
-    ({"action": {"kind": "rotate", "grasp": "A22"}}, "(nearest: A2)"),
+    ({"action": {"kind": "rotate", "grasp": "A22"}}, "action.grasp: got 'A22'; allowed: 0 (", "(nearest: A2)"),
     ({"action": {"kind": "rotate", "grasp": 2, "speed": 0.4}}, "phases: "),
     ({"action": {"kind": "rotate", "grasp": 2, "speed": -0.1745, "duration": 2.0, "back": True}}, "phases: "),
     ({"object": "L3"}, "object: got 'L3'"),
@@ -238,15 +240,17 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
     ({"longest_gap_s": 0.005}, "log: a sample every 0.01 s; allowed: 0.005 s"),
 )
+"""Changes of a mapping, fields of a table or the whole table, each with parts of its error."""
 
 
 def test_a_wrong_mapping_is_refused(turn: Trajectory, tmp_path: Path):
     path = write_csv(tmp_path / "log.csv", turn)
-    for change, error in WRONG:
+    for change, *errors in WRONG:
         mapping = mapping_of(turn)
         for table, fields in change.items():
             mapping[table] = mapping[table] | fields if table in ("sensor", "hand", "time") else fields
-        assert error in refused(path, mapping)
+        said = refused(path, mapping)
+        assert all(error in said for error in errors), said
 
 
 def test_a_wrong_log_is_refused(turn: Trajectory, tmp_path: Path):
@@ -286,12 +290,15 @@ def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Tr
     table = pd.read_csv(path)
     held, coarse = np.flatnonzero(turn.segment == 0), table["tz"].round(3)  # of the size of its noise
     hand = [name for name in columns(turn) if name[0] in "pq"]
-    for changes, error in (
+    for changes, *errors in (
         ({"fy": table["fy"].iloc[0]}, "sensor: fy is "),
         ({"tz": table["tz"].mask(table.index > held[50]).ffill()}, "s, in motion; allowed: 0.5 s: it was stuck"),
         ({"tz": coarse.mask(table.index > held[50]).ffill()}, "s, in motion; allowed: 0.5 s: it was stuck, or clipped"),
-        ({"stamp": 1e3 * table["stamp"]}, "a sample every 10 s; allowed: 0.1 s (longest_gap_s)"),
-        ({"stamp": 1e3 * table["stamp"]}, "is time.unit another"),
+        (
+            {"stamp": 1e3 * table["stamp"]},
+            "a sample every 10 s; allowed: 0.1 s (longest_gap_s)",
+            "is time.unit another",
+        ),
         ({name: 1e3 * table[name] for name in hand[:3]}, "is position_unit another?"),
         ({name: table[name].iloc[0] for name in hand}, "the log has none: it does not turn, at most"),
         ({"stamp": table["stamp"].iloc[0]}, "samples have the time 1.76723e+09 s; allowed: a clock that runs"),
@@ -301,7 +308,8 @@ def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Tr
         ),
     ):
         table.assign(**changes).to_csv(tmp_path / "wrong.csv", index=False)
-        assert error in refused(tmp_path / "wrong.csv", mapping)
+        said = refused(tmp_path / "wrong.csv", mapping)
+        assert all(error in said for error in errors), said
     table[:1].to_csv(tmp_path / "wrong.csv", index=False)
     assert "got 1 samples at different times" in refused(tmp_path / "wrong.csv", mapping)
     header, rest = path.read_text().split("\n", 1)
@@ -312,41 +320,39 @@ def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Tr
     assert imported(path, mapping).ok
 
 
-def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, tmp_path: Path):
+def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, back: Trajectory, tmp_path: Path):
     path, mapping = write_csv(tmp_path / "log.csv", turn), mapping_of(turn)
     table = pd.read_csv(path)
     text = table.to_csv(index=False, sep=";", decimal=",")
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace("\n", "\n# a mark\n", 40), encoding="utf-8")
-    there = imported(path, mapping)
     mapping |= {"separator": ";", "decimal": ","}
     again = imported(tmp_path / "log.txt", mapping)
-    assert_allclose(again.sensor_wrench, there.sensor_wrench, atol=1e-12)
+    assert_allclose(again.sensor_wrench, back.sensor_wrench, atol=1e-12)
     (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
     assert "line 3: " in refused(tmp_path / "log.txt", mapping)
     assert "separator: got ','; allowed: another character" in refused(path, mapping | {"separator": ","})
     assert "separator: got '[,'; allowed: a character, or a pattern (" in refused(path, mapping | {"separator": "[,"})
 
 
-def test_times_may_be_dates(turn: Trajectory, tmp_path: Path):
+def test_times_may_be_dates(turn: Trajectory, back: Trajectory, tmp_path: Path):
     stamps = pd.to_datetime(EPOCH * 10**9 + np.round(turn.time_s * 1e9).astype(np.int64) + 123, unit="ns", utc=True)
     dates = [f"{stamp.tz_localize(None).isoformat()}+02:00" for stamp in stamps + pd.Timedelta("2h")]
     mapping = mapping_of(turn, time={"column": "date", "unit": "iso"})
     again = import_csv(tmp_path, turn, mapping, date=dates)
-    assert_allclose(again.sensor_wrench, import_csv(tmp_path, turn).sensor_wrench, atol=1e-4)
+    assert_allclose(again.sensor_wrench, back.sensor_wrench, atol=1e-4)
     assert again.provenance["recorded"] == "2026-01-01T00:00:00.000+00:00"
     table = pd.read_csv(tmp_path / "log.csv", dtype=str).assign(date=["soon", *dates[1:]])
     table.to_csv(tmp_path / "log.csv", index=False)
     assert "line 2: date: got 'soon'; allowed: a date by ISO 8601" in refused(tmp_path / "log.csv", mapping)
 
 
-def test_wrenches_come_by_the_axes_of_the_base_too(turn: Trajectory, tmp_path: Path):
+def test_wrenches_come_by_the_axes_of_the_base_too(turn: Trajectory, back: Trajectory, tmp_path: Path):
     logged, sensor = columns(turn), Rotation.from_quat(turn.sensor_orientation, scalar_first=True)
     parts = {a: sensor.apply(np.column_stack([logged[f"{a}{b}"] for b in "xyz"])) for a in "ft"}
     more = {f"{a}{b}": part[:, i] for a, part in parts.items() for i, b in enumerate("xyz")}
     mapping = mapping_of(turn)
     mapping["sensor"] |= {"axes": "base"}
-    again, there = import_csv(tmp_path, turn, mapping, **more), import_csv(tmp_path, turn)
-    assert_allclose(again.sensor_wrench, there.sensor_wrench, atol=1e-6)
+    assert_allclose(import_csv(tmp_path, turn, mapping, **more).sensor_wrench, back.sensor_wrench, atol=1e-6)
 
 
 def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):
@@ -380,7 +386,7 @@ def test_blank_rows_and_repeated_stamps_do_no_harm(turn: Trajectory, tmp_path: P
 
 def test_orientations_come_as_vectors_or_angles_too(turn: Trajectory, tmp_path: Path):
     logged = columns(turn)
-    hand = Rotation.from_quat(np.column_stack([logged[f"q{a}"] for a in "xyzw"]))
+    hand = Rotation.from_quat(np.column_stack([logged[name] for name in QUATERNION]))
     vectors, angles = hand.as_rotvec(degrees=True), hand.as_euler("xyz", degrees=True)
     more = {f"{n}{i}": v[:, i] for n, v in (("v", vectors), ("e", angles)) for i in range(3)}
     for kind, letter in (("rotation_vector", "v"), ("roll_pitch_yaw", "e")):

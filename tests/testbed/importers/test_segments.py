@@ -237,14 +237,10 @@ def mapped(turn: Trajectory, wrench: str, pose: str, time: dict[str, Any]) -> di
     return plain
 
 
-def as_csv(folder: Path, turn: Trajectory) -> Trajectory:
-    folder.mkdir()
-    return import_csv(folder, turn)
-
-
-def same(found: Trajectory, expected: Trajectory, tolerance: float = 1e-12) -> None:
-    for name in ("time_s", "sensor_wrench", "tcp_position", "sensor_orientation"):
-        assert_allclose(getattr(found, name), getattr(expected, name), atol=tolerance, err_msg=name)
+@pytest.fixture(scope="module")
+def from_csv(turns: list[Trajectory], tmp_path_factory: pytest.TempPathFactory) -> list[Trajectory]:
+    """The turns, written as CSV and imported."""
+    return [import_csv(tmp_path_factory.mktemp("csv"), turn) for turn in turns]
 
 
 @pytest.fixture
@@ -262,15 +258,16 @@ def episodes(turns: list[Trajectory], tmp_path: Path) -> Path:
     return tmp_path / "file-000.parquet"
 
 
-def test_episodes_of_a_parquet_table_are_trials(turns: list[Trajectory], episodes: Path, tmp_path: Path):
+def test_episodes_of_a_parquet_table_are_trials(turns: list[Trajectory], from_csv: list[Trajectory], episodes: Path):
     mapping = mapped(turns[0], "observation.wrench", "observation.state", {"column": "timestamp"})
     mapping["logs"] = [
         entry_of(episodes.name, turn) | {"where": {"episode_index": float(k)}} for k, turn in enumerate(turns)
     ]
-    for index, turn in enumerate(turns):
+    for index, expected in enumerate(from_csv):
         found = imported(episodes, mapping, entry=LogMap.model_validate(mapping["logs"][index]))
         assert found.provenance["stretch"] == f"episode_index {index}"
-        same(found, as_csv(tmp_path / str(index), turn), 1e-4)
+        for name in ("time_s", "sensor_wrench", "tcp_position", "sensor_orientation"):
+            assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-4, err_msg=name)
 
 
 @pytest.mark.parametrize(
@@ -287,9 +284,9 @@ def test_an_episode_has_to_be_named(where: dict[str, float], said: str, turns: l
         imported(episodes, mapping)
 
 
-def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], tmp_path: Path):
+def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], from_csv: list[Trajectory], tmp_path: Path):
     h5py = pytest.importorskip("h5py", reason="needs the extra robot")
-    turn, path = turns[0], tmp_path / "log.h5"
+    turn, expected, path = turns[0], from_csv[0], tmp_path / "log.h5"
     cells, stamps = columns(turn), 17 * 10**17 + np.round(1e9 * turn.time_s).astype(np.int64)
     with h5py.File(path, "w") as file:
         file["arm/pose"] = np.column_stack([cells[name] for name in POSE])[::2]
@@ -304,7 +301,6 @@ def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], tmp_path:
     mapping["sensor"]["time"] = {"column": "ft/stamp_ns", "unit": "ns"}
     found = imported(path, mapping)
     assert found.provenance["recorded"].startswith("2023-11-14T22:13:20")
-    expected = as_csv(tmp_path / "csv", turn)
     count = min(len(found.time_s), len(expected.time_s))
     assert_allclose(found.sensor_wrench[:count], expected.sensor_wrench[:count], atol=1e-4)
     mapping["sensor"]["force"][0] = "outside"
@@ -315,13 +311,12 @@ def test_hdf5_arrays_have_clocks_of_their_own(turns: list[Trajectory], tmp_path:
         imported(path, mapping)
 
 
-def test_a_number_in_place_of_a_column_is_a_constant(turns: list[Trajectory], tmp_path: Path):
-    turn = turns[0]
-    mapping = mapping_of(turn)
+def test_a_number_in_place_of_a_column_is_a_constant(
+    turns: list[Trajectory], from_csv: list[Trajectory], tmp_path: Path
+):
+    mapping, log, expected = mapping_of(turns[0]), write_csv(tmp_path / "log.csv", turns[0]), from_csv[0]
     mapping["sensor"]["force"][2] = -0.5
-    log = write_csv(tmp_path / "log.csv", turn)
     found = imported(log, mapping)
-    expected = as_csv(tmp_path / "csv", turn)
     assert_allclose(found.sensor_wrench[:, 2], 0.5 * 9.80665, atol=1e-9)
     assert_allclose(found.sensor_wrench[:, [0, 1, 3, 4, 5]], expected.sensor_wrench[:, [0, 1, 3, 4, 5]], atol=1e-12)
     mapping["hand"] |= {"position": [0.0, 0.0, 0.0], "orientation": [0.0, 0.0, 0.0, 1.0]}

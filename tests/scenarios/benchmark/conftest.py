@@ -16,6 +16,8 @@ from testbed.trajectory import Trajectory
 
 SECRET = "a secret of the tests"
 BLOCKS = {"train-turns-ideal_0": "I2", "validation-turns-ideal_0": "L2", "test-turns-ideal_0": "F2"}
+TRIALS = {"train": 2, "validation": 7, "test": 2}
+"""Trials of the problem of each split."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,12 @@ def entry_of(name: str, block: str) -> Entry:
     """Problem of a known block under a sensor; its first trial has frames of a camera."""
     known = load_block(f"{block}-own_weight")
     file = load_toml(asset_folder("objects") / f"{block}.toml", ObjectFile).model_copy(update={"name": name})
-    first, *rest = known.trials("ft300s", seed=3)
+    split, kind, world = name.removesuffix("_0").split("-")
+    first, *rest = known.trials("ft300s", seed=3)[: TRIALS[split]]
     frames = np.arange(90.0).reshape(10, 3, 3)
     first = replace(first, camera=PoseStream(np.arange(10.0), frames, 1e-3, 2e-3, 0.01))
     weighed = np.full(1, 9.81 * known.weighed("ft300s"))
     weighing = Trajectory.of_scale(weighed, np.zeros(1), {"runner": "simulation"})
-    split, kind, world = name.removesuffix("_0").split("-")
     return Entry(split, kind, world, file, file.build(3, Path()), lambda: [weighing, first, *rest])
 
 

@@ -74,10 +74,6 @@ def test_a_task_is_begun_again_up_to_a_number_of_times(tmp_path):
     assert values["crash once"] == values["well"] == "well"
     assert values["crash"].reason == "its worker process was killed by SIGSEGV (tried 2 times)"
     assert values["leave"].reason == "its worker process exited with code 0 (tried 2 times)"
-    with open_executor("local", 1, Limits(tries=1)) as executor:
-        values = all_of(executor, {1: (misbehave, "leave"), 2: (misbehave, "well")})
-    assert values[1].reason == "its worker process exited with code 0 (tried once)"
-    assert values[2] == "well"
 
 
 def listening() -> set[str]:
@@ -112,7 +108,7 @@ def test_a_cluster_is_joined_only_where_the_environment_names_it(monkeypatch):
 def test_whatever_a_task_does_on_ray_comes_back_as_a_value_and_a_lost_cluster_is_no_failure_of_its_tasks():
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'heft-testbed[ray]'")
     before = listening()
-    with open_executor("ray", 2, Limits(timeout_s=8.0, tries=3, memory_gib=1.5)) as executor:
+    with open_executor("ray", 2, Limits(timeout_s=5.0, tries=2, memory_gib=1.5)) as executor:
         values = all_of(executor, {way: (misbehave, way) for way in ("well", "raise", "exit", "hang", "crash", "eat")})
         new = listening() - before
         assert new and all(re.search("0100007F:|0{24}01000000:", address) for address in new), "on this machine alone"
@@ -125,19 +121,20 @@ def test_whatever_a_task_does_on_ray_comes_back_as_a_value_and_a_lost_cluster_is
     assert values["well"] == "well"
     assert values["raise"].reason == "RuntimeError: out of ideas"
     assert values["exit"].reason == "SystemExit: 3"
-    assert values["hang"].reason == "took longer than 8 s"
+    assert values["hang"].reason == "took longer than 5 s"
     assert "its worker process was lost" in values["crash"].reason
     assert "MemoryError: Unable to allocate" in values["eat"].reason
 
 
-def test_what_is_not_an_executor_is_refused():
-    with pytest.raises(InvalidValueError, match="--executor: got 'slurm'; allowed: one of inline, local, ray"):
-        open_executor("slurm", 2).__enter__()
-    with pytest.raises(InvalidValueError, match="--workers: got -1"):
-        open_executor("local", -1).__enter__()
-
-
-def test_without_ray_one_line_says_how_to_get_it(monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "workers", "error", "said"),
+    [
+        ("slurm", 2, InvalidValueError, "--executor: got 'slurm'; allowed: one of inline, local, ray"),
+        ("local", -1, InvalidValueError, "--workers: got -1"),
+        ("ray", 2, HeftError, r"pip install 'heft-testbed\[ray\]'"),
+    ],
+)
+def test_an_executor_that_cannot_be_opened_is_refused(name, workers, error, said, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(HeftError, match=r"pip install 'heft-testbed\[ray\]'"):
-        open_executor("ray", 2).__enter__()
+    with pytest.raises(error, match=said):
+        open_executor(name, workers).__enter__()

@@ -10,8 +10,12 @@ from bench.real_data import center, poses, read
 from estimators.evaluation.statistics import NINETY
 from scenarios.cli.main import main
 
+pytestmark = pytest.mark.slow
 DATA = Path(os.environ.get("HEFT_REAL_DATA", "real_data"))
 PUSHES, POSES = DATA / "mit_push", DATA / "kuka_ft_imu"
+needs_pushes = pytest.mark.skipif(
+    not PUSHES.is_dir(), reason="needs MIT's pushes: HEFT_REAL_DATA names no folder with mit_push"
+)
 PLATES = {"ellip3": 7, "hex": 9}
 """Usable pushes of each plate."""
 
@@ -31,8 +35,7 @@ def found(folder: Path, plate: str) -> Path:
     return table.with_suffix(".found.toml")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PUSHES.is_dir(), reason="needs MIT's pushes: HEFT_REAL_DATA names no folder with mit_push")
+@needs_pushes
 @pytest.mark.parametrize("plate", PLATES)
 def test_all_pushes_of_a_plate_show_its_center(plate: str, tmp_path: Path):
     obj, trials = read(found(tmp_path, plate))
@@ -44,16 +47,14 @@ def test_all_pushes_of_a_plate_show_its_center(plate: str, tmp_path: Path):
 LOW = pytest.mark.xfail(strict=True, reason="0.465: the mode of friction's own density is below the joint one, 0.49")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PUSHES.is_dir(), reason="needs MIT's pushes: HEFT_REAL_DATA names no folder with mit_push")
+@needs_pushes
 @pytest.mark.parametrize("plate", [pytest.param("ellip3", marks=LOW), "hex"])
 def test_all_pushes_of_a_plate_show_its_friction(plate: str, tmp_path: Path):
     answer = center(*read(found(tmp_path, plate)))
     assert answer is not None and 0.47 <= answer.friction <= 0.51
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PUSHES.is_dir(), reason="needs MIT's pushes: HEFT_REAL_DATA names no folder with mit_push")
+@needs_pushes
 def test_a_dead_force_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
         found(tmp_path, "rect1")
@@ -61,7 +62,6 @@ def test_a_dead_force_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert said.count("in all samples") == 9 and said.count("it was stuck") == 2
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not POSES.is_dir(), reason="needs Skrede's poses: HEFT_REAL_DATA names no folder with kuka_ft_imu")
 def test_halves_of_still_poses_agree():
     table = poses(POSES / "0-calibration_fts-accel.csv", POSES / "0-steady-state_wrench.csv")

@@ -107,12 +107,6 @@ def test_white_noise_is_averaged():
     assert resampled(series, common_base([series], 0.1)).std() == pytest.approx(1 / np.sqrt(10), rel=0.05)
 
 
-def test_what_is_faster_than_the_base_does_not_fold_in():
-    time = np.arange(10_000) / 1000
-    series = Series(time, np.sin(2 * np.pi * 99.0 * time)[:, None])  # would look like 1 Hz at 100 Hz
-    assert np.abs(resampled(series, common_base([series], 0.1))[1:-1]).max() < 0.02
-
-
 @given(st.integers(0, 99), st.floats(-3, 3))
 def test_a_steady_turn_stays_one(seed: int, rate: float):
     time = jittered(70.0, 3.0, seed)

@@ -221,6 +221,10 @@ WRONG: tuple[tuple[Any, ...], ...] = (
     ({"sensor": {"tipoc": "/ft"}}, "sensor.tipoc: no such field; got '/ft' (nearest: topic)"),
     ({"sensor": {"topic": "/ft"}}, "topic: got '/ft'; allowed: none"),
     ({"hand": {"orientation_as": "roll_pitch_yaw"}}, "3 columns for roll_pitch_yaw"),
+    (
+        {"hand": {"position": ["px", "py"], "orientation": ["qz"], "orientation_as": "yaw"}},
+        "a hand's yaw alone does not determine its tilt",
+    ),
     ({"sensor": {"in_hand_wxyz": [1.0, 1.0, 0.0, 0.0]}}, "a unit quaternion"),
     ({"sensor": {"zeroed": "yes"}}, "sensor.zeroed: got 'yes'; allowed: a valid boolean"),
     ({"hand": {"closing_deg": "90"}}, "hand.closing_deg: got '90'; allowed: a valid number"),
@@ -238,6 +242,8 @@ WRONG: tuple[tuple[Any, ...], ...] = (
     ({"phases": [{"phase": "steady", "from_s": 1.0, "to_s": 2.0}]}, 'one or more "tare"'),
     ({"phases": [{"phase": "tare", "from_s": 1.0, "to_s": 0.5}]}, "to_s: got 0.5"),
     ({"phases": [{"phase": "tear", "from_s": 0.0, "to_s": 0.5}]}, "phases.0.phase: got 'tear'"),
+    ({"separator": ",", "decimal": ","}, "separator: got ','; allowed: another character"),
+    ({"separator": "[,"}, "separator: got '[,'; allowed: a character, or a pattern ("),
     ({"longest_gap_s": 0.005}, "log: a sample every 0.01 s; allowed: 0.005 s"),
 )
 """Changes of a mapping, fields of a table or the whole table, each with parts of its error."""
@@ -318,20 +324,6 @@ def test_columns_that_measure_nothing_and_clocks_that_stand_are_refused(turn: Tr
     coarse = table.assign(**{name: table[name].round(1) for name in ("fx", "fy", "fz")})  # a sensor of few counts
     coarse.to_csv(path, index=False)
     assert imported(path, mapping).ok
-
-
-def test_tables_are_read_as_other_programs_write_them(turn: Trajectory, back: Trajectory, tmp_path: Path):
-    path, mapping = write_csv(tmp_path / "log.csv", turn), mapping_of(turn)
-    table = pd.read_csv(path)
-    text = table.to_csv(index=False, sep=";", decimal=",")
-    (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace("\n", "\n# a mark\n", 40), encoding="utf-8")
-    mapping |= {"separator": ";", "decimal": ","}
-    again = imported(tmp_path / "log.txt", mapping)
-    assert_allclose(again.sensor_wrench, back.sensor_wrench, atol=1e-12)
-    (tmp_path / "log.txt").write_text("# bench 3\n" + text.replace(",", "x", 30), encoding="utf-8")
-    assert "line 3: " in refused(tmp_path / "log.txt", mapping)
-    assert "separator: got ','; allowed: another character" in refused(path, mapping | {"separator": ","})
-    assert "separator: got '[,'; allowed: a character, or a pattern (" in refused(path, mapping | {"separator": "[,"})
 
 
 def test_times_may_be_dates(turn: Trajectory, back: Trajectory, tmp_path: Path):

@@ -16,18 +16,19 @@ from testbed.importers.logs import LogError
 from testbed.importers.phases import RATE
 
 LONGEST_DELAY = 0.2
-"""Largest delay that is found [s]."""
+"""Largest delay either way that the search covers [s]."""
 NO_DELAY = "not estimated, for want of an accelerated turn"
-"""Warning about the delay between separate streams that nothing ties."""
-UNSURE = 0.005
-"""Standard deviation above which a delay is reported and not corrected [s]."""
+"""Provenance of separate streams whose delay is unknown."""
+LARGEST_STD = 0.005
+"""Standard deviation from which a delay is reported and not corrected [s]."""
 _MODEL_ERROR = 0.0015
-"""Standard deviation of what the arm's own lag adds, over turns of the library's objects, alike in all turns [s]."""
+"""Standard deviation of the error by the arm's lag, over turns of the library's objects; common to all turns [s]."""
 _SMOOTHING = 0.045
-"""Standard deviation of the kernel that both sides are smoothed by [s]."""
+"""Standard deviation of the kernel that smooths torque and motion [s]."""
 _BLOCKS = 8
+"""Number of parts of the jackknife."""
 _TURNING = 0.12
-"""Part of the largest turn rate above which the object is on its way."""
+"""Fraction of the largest turn rate above which the object turns."""
 _END = 15
 """Samples at the ends of the motion that are left out: friction builds up there."""
 
@@ -41,13 +42,14 @@ class Delay(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        """True if it is known well enough to be taken off, and is not zero within its error."""
-        return self.std < UNSURE and abs(self.seconds) > 2 * self.std
+        """True if the delay is known well enough to be corrected, and differs from zero beyond its error."""
+        return self.std < LARGEST_STD and abs(self.seconds) > 2 * self.std
 
     def __str__(self) -> str:
         if not self.std:
             return f"{1e3 * self.seconds:.1f} ms late, as given; taken off"
-        then = "taken off" if self.sure else "too uncertain to be taken off" if self.std >= UNSURE else "not taken off"
+        certain = "taken off" if self.sure else "not taken off"
+        then = "too uncertain to be taken off" if self.std >= LARGEST_STD else certain
         return f"{1e3 * self.seconds:.1f} +- {1e3 * self.std:.1f} ms late, by accelerated turns; {then}"
 
 
@@ -56,18 +58,19 @@ def wrench_delay(
 ) -> Delay:
     """Delay between the torque about the vertical and a turn that accelerates.
 
-    Torque is linear in angular and linear acceleration, speed and its square, and the center of the turn, whatever the
-    object is. That combination of the motion, moved by the delay, is fitted to the torque's rate of change: jumps of
-    the acceleration show there, and slow changes of friction do not. Its error is from leaving out parts of the turn.
+    The torque of any object is linear in angular and linear acceleration, speed and its square, and the center of the
+    turn. That combination of the motion, shifted by the delay, is fitted to the torque's rate of change, in which jumps
+    of the acceleration are large and slow changes of friction small. The standard deviation is that of a jackknife over
+    parts of the turn.
 
     Args:
         torque: torque about the vertical [N m], as stamped.
         position: position of the TCP [m].
-        hand: orientation, T of them.
-        time: 100 Hz [s].
+        hand: orientation of the hand, T of them.
+        time: times at 100 Hz [s].
 
     Raises:
-        LogError: no acceleration, or a delay beyond 0.2 s.
+        LogError: less than 1 s of acceleration, or a delay beyond 0.2 s.
     """
     motion, rate = _regressors(position, hand)
     turning = np.flatnonzero(np.abs(rate) > _TURNING * np.abs(rate).max())
@@ -98,17 +101,17 @@ def wrench_delay(
 
 
 def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
-    """Mean of the delays of several turns, weighed by their errors; None of none.
+    """Mean of the delays of several turns, weighted by their inverse variances; None without any.
 
     Raises:
-        LogError: they differ by more than their errors: their clocks are not the same.
+        LogError: delays that differ by more than five standard deviations: the clocks are not the same.
     """
     if not delays:
         return None
     weights = np.array([delay.std**-2 for delay in delays])
     mean = float(np.average([d.seconds for d in delays], weights=weights))
-    if far := [d for d in delays if abs(d.seconds - mean) > 5 * d.std]:
-        one, all_ = 1e3 * far[0].seconds, 1e3 * mean
+    if outliers := [d for d in delays if abs(d.seconds - mean) > 5 * d.std]:
+        one, all_ = 1e3 * outliers[0].seconds, 1e3 * mean
         raise LogError(
             f"delay: {one:.1f} ms in one turn and {all_:.1f} ms in all; allowed: the same clocks in all logs"
         )
@@ -116,7 +119,7 @@ def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
 
 
 def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.ndarray]:
-    """Rates of change of what the torque is linear in, hand's axes, shape (T, 7), and the turn rate [rad/s]."""
+    """Rates of change of the torque's regressors, hand axes, shape (T, 7), and the turn rate [rad/s], shape (T,)."""
 
     def smooth(values: np.ndarray, order: int) -> np.ndarray:
         return gaussian_filter1d(values, _SMOOTHING * RATE, order=order, axis=0) * RATE**order

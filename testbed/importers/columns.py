@@ -1,4 +1,4 @@
-"""Schema of a log's columns: which of them, or which messages, hold which quantity, in what units and frames."""
+"""Schema of a log's columns or messages: their quantities, units and frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ISO = "iso"
 """Unit of a table's times that are dates by ISO 8601."""
 
 
-def _turn(wxyz: list[float]) -> list[float]:
+def _unit_quaternion(wxyz: list[float]) -> list[float]:
     if not 0.999 < sum(q * q for q in wxyz) < 1.001:
         raise InvalidValueError("", wxyz, "a unit quaternion, wxyz")
     return wxyz
@@ -41,10 +41,10 @@ Cell = Text | Finite
 """Column by name, or a constant."""
 Three = Annotated[list[Cell], Field(min_length=3, max_length=3)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
-UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_turn)]
+UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw", "matrix"]
 _COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "yaw": 1, "matrix": 9}
-"""Columns of an orientation, by how it is given."""
+"""Number of columns of an orientation in each representation."""
 
 
 class Table(BaseModel):
@@ -138,7 +138,7 @@ class HandMap(PoseMap):
 
     @property
     def size(self) -> Hand:
-        """Size of the hand, by which rows of blocks can be taken."""
+        """Size of the hand, which limits the rows of blocks that it can grip."""
         return Hand(self.stroke_m, self.finger_width_m)
 
     @model_validator(mode="after")
@@ -152,7 +152,7 @@ class HandMap(PoseMap):
 
 
 class PartMap(PoseMap):
-    """One [[camera.parts]] table: what the camera sees of one link, or of a rigid object."""
+    """One [[camera.parts]] table: the poses of one link, or of a rigid object."""
 
     file: Text | None = None
     time: TimeMap | None = None
@@ -160,7 +160,7 @@ class PartMap(PoseMap):
     object_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
 
 
-_SEEN = CAMERAS["30hz"]
+_CAMERA = CAMERAS["30hz"]
 
 
 class CameraMap(Table):
@@ -169,10 +169,10 @@ class CameraMap(Table):
     parts: Annotated[list[PartMap], Field(min_length=1)]
     in_base_m: Vector = [0.0, 0.0, 0.0]
     in_base_wxyz: UnitQuaternion = [1.0, 0.0, 0.0, 0.0]
-    position_std_m: NonNegative = _SEEN.position
-    angle_std_deg: NonNegative = math.degrees(_SEEN.angle)
-    delay_s: Finite = round(sum(_SEEN.delay) / 2, 4)
-    delay_std_s: NonNegative = round(_SEEN.delay_std, 4)
+    position_std_m: NonNegative = _CAMERA.position
+    angle_std_deg: NonNegative = math.degrees(_CAMERA.angle)
+    delay_s: Finite = round(sum(_CAMERA.delay) / 2, 4)
+    delay_std_s: NonNegative = round(_CAMERA.delay_std, 4)
 
 
 class VelocityMap(Table):
@@ -203,7 +203,7 @@ class ToolMap(Table):
 
 
 class Columns(Table):
-    """The part of a mapping file that says which column is what; a calibration needs no more."""
+    """Part of a mapping file that describes the columns; a calibration reads no other."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 

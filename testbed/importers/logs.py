@@ -36,11 +36,11 @@ FACTORS: dict[str, dict[str, float]] = {
 }
 """SI value of each unit, by quantity."""
 MOST_LISTED = 12
-"""Most names or values of a log in an error."""
+"""Largest number of names or values of a log in an error."""
 SECOND = 1_000_000_000
 """Nanoseconds of a second."""
 _MOST_SHARED = 0.05
-"""Largest part of the samples that may have the time of another: a clock's resolution."""
+"""Largest fraction of the samples that may share a time, as by a clock of coarse resolution."""
 
 
 class LogError(HeftError):
@@ -124,7 +124,7 @@ def columns_of(field: str, names: Sequence[str | float], path: Path) -> list[str
 
 
 def ordered(path: Path, field: str, time: np.ndarray, columns: np.ndarray, names: Sequence[str | float]) -> Series:
-    """Series of names and constants in the order of time, from the columns; see `in_order`."""
+    """Series of columns and constants in the order of `names`, sorted by time; see `in_order`."""
     series = in_order(path, field, time, columns)
     values = np.empty((len(series.time_s), len(names)))
     measured = np.array([isinstance(name, str) for name in names])
@@ -138,7 +138,7 @@ def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Se
     Few samples that come before their neighbor by less than the usual step are sorted.
 
     Raises:
-        LogError: times that go back further or stand, or fewer than two of them.
+        LogError: times that go back further or repeat, or fewer than two different ones.
     """
     steps = np.diff(time)
     if (steps < 0).any() and (steps < 0).mean() <= _MOST_SHARED and -steps.min() < np.median(steps):

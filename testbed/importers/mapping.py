@@ -83,7 +83,7 @@ def _mapped_action(table: dict[str, Any]) -> MappedAction:
 
 
 _WITHIN = re.compile(r"(\S+) s to (?:(\S+) s|its end)$")
-"""Times of a stretch in words."""
+"""Times at the end of `LogMap.stretch`."""
 Windows = Annotated[list[PhaseWindow], AfterValidator(_in_order)]
 RecordedAction = Annotated[MappedAction, BeforeValidator(_mapped_action)]
 
@@ -116,7 +116,7 @@ class LogMap(Table):
 
     @property
     def moved(self) -> tuple[float, float]:
-        """Begin and end of the motion [s], by its phases, or else of the whole stretch."""
+        """Begin and end of the motion by its phases, or else of the whole stretch [s]."""
         steady = [window for window in self.phases or () if window.kind == Phase.STEADY]
         if steady:
             return steady[0].from_s, steady[-1].to_s

@@ -19,16 +19,16 @@ JOINT_STATE = "sensor_msgs/JointState"
 _STAMP = "header.stamp"
 _NANOSECONDS = ("nanosec", "nsec")
 _LARGEST = sys.float_info.max
-_NOT_THERE = (KeyError, IndexError, ValueError, TypeError)
+_LOOKUP_ERRORS = (KeyError, IndexError, ValueError, TypeError)
 
 
 class Message(NamedTuple):
-    """One message. It keeps its text: the contents of a minute at 8 kHz would take a gigabyte."""
+    """Message as text: the parsed contents of a minute at 8 kHz would take a gigabyte."""
 
     log_time: int
     """Time at which it was logged [ns]."""
     publish_time: int
-    """Time at which it was sent [ns]; of a bag that does not say, when it was logged."""
+    """Time at which it was sent [ns]; `log_time` in a bag, which does not hold it."""
     text: bytes
     """Content as JSON."""
 
@@ -55,7 +55,7 @@ class MessageLog:
 
     @property
     def epoch_s(self) -> int:
-        """Whole second since 1970 from which its stamps count; 0 where they count from where the log says."""
+        """Whole second since 1970 from which the stamps count; 0 if they count from a zero of the log's own."""
         return self._epoch or 0
 
     def type_of(self, field: str, topic: str | None) -> str:
@@ -102,7 +102,7 @@ class MessageLog:
         return value
 
     def _by_name(self, topic: str, content: Any) -> bytes:
-        """Joint states by the joints' names, whose order may change."""
+        """Joint state as JSON, values by the names of the joints, whose order may change."""
         of = partial(self.part, f"topic {topic}", content=content)
         names, kinds = [str(name) for name in of("name")], ("position", "velocity", "effort")
         by_name = {kind: dict(zip(names, of(kind), strict=False)) for kind in kinds}
@@ -112,11 +112,11 @@ class MessageLog:
         """A part of a message's content by dotted path.
 
         Raises:
-            InvalidValueError: it is not there; the message names the nearest.
+            InvalidValueError: no such part; the message names the nearest.
         """
         try:
             return _at(content, name)
-        except _NOT_THERE:
+        except _LOOKUP_ERRORS:
             raise unknown(field, name, sorted(dict(_leaves(content))), self.path) from None
 
     def stamps(self, topic: str, messages: Sequence[Message], time: TimeMap) -> np.ndarray:
@@ -140,7 +140,7 @@ def open_messages(path: Path) -> MessageLog:
     """MCAP file with JSON or ROS 2 messages, its checksums compared; or a ROS 2 bag: its folder or a .db3 file.
 
     Raises:
-        LogError: no whole file of its kind, one that no recorder writes, or a package is not installed.
+        LogError: a damaged file, one with content that no recorder writes, or a package that is not installed.
     """
     what = "an MCAP file" if path.suffix == ".mcap" else "a ROS 2 bag"
     result = partial(parsed_log, "testbed.parsing.logs", path, what)
@@ -167,7 +167,7 @@ def _has(content: Any, *paths: str) -> bool:
     try:
         for path in paths:
             _at(content, path)
-    except _NOT_THERE:
+    except _LOOKUP_ERRORS:
         return False
     return True
 

@@ -34,37 +34,37 @@ Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
 STEADY_WITHIN = 0.1
 """Largest deviation of a stretch from the action's speed, as a part of it."""
 PUSHED_WITHIN = 0.5
-"""The same of a push, as far as its end: the arm gives way as the fingertip meets the object."""
+"""The same for a push, as a part of its speed: the arm yields as the fingertip meets the object."""
 _UPRIGHT = 0.7
-"""Least part of a hand's turn that is about the vertical. Ours."""
+"""Least ratio of a hand's turn rate about the vertical to its whole turn rate. Ours."""
 STILL = (0.002, np.radians(0.5))
 """Speeds below which the tool is at rest [m/s, rad/s]."""
 ABOVE = 0.01
-"""Height over the grasp from which the tool holds nothing [m]."""
+"""Height above the grasp from which the hand is empty [m]."""
 SHORTEST_TARE = 0.3
 """Shortest tare [s]."""
 _LONGEST_EQUAL = 0.5
-"""Time for which a component of a moved sensor may stay exactly the same [s]."""
-_NO_CHANCE = 1e-9
-"""Probability that noise leaves a component the same for so long, below which it is stuck. Ours."""
+"""Time for which a component of a moving sensor may keep one value [s]."""
+_STUCK_PROBABILITY = 1e-9
+"""Probability of a run of equal values under noise, below which the component is stuck. Ours."""
 COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 SPIKE = 20.0
-"""Distance of a spike from the samples beside it, over the standard deviation of such distances, and over the change
-from before it to after it. Ours."""
+"""Least ratio of the distance between a spike and the samples beside it to the standard deviation of such distances,
+and to the change from before the spike to after it. Ours."""
 SMALLEST_SPIKE = (10.0, 10.0, 10.0, 1.0, 1.0, 1.0)
 """Least distance of a spike from the samples beside it [N, N m]: more than a fingertip's chatter. Ours."""
 BESIDE = 3
 """Samples on each side of a spike with which it is compared."""
 MOST_LEFT_OUT = 0.2
-"""Part of the samples from which lost frames and spikes refuse a log. Ours."""
+"""Largest fraction of lost frames and spikes in a log. Ours."""
 MOST_NAMED = 3
-"""Spikes of a component that are named by their times."""
+"""Largest number of spikes of a component whose times are listed."""
 _SHORTEST_LOG = 0.5
-"""Least time that all columns of a log share [s]: a push at 0.2 m/s lasts that long."""
+"""Shortest stretch that all columns of a log cover [s]: the duration of a push at 0.2 m/s."""
 _ROUNDING = 1e-5
 """Rounding of a difference of logged times [s]."""
 _PAUSE = 1.0
-"""Gap that is more likely between two trials than within one [s]."""
+"""Gap from which an error suggests several trials, or another unit of time [s]."""
 _SMOOTHING = 0.25
 """Time over which motion is averaged [s]."""
 
@@ -143,7 +143,7 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"], measured: 
         measured: False for components that the mapping gives as constants.
 
     Raises:
-        LogError: a component has one value throughout; or one for longer in motion than its noise allows.
+        LogError: a component with one value in all samples, or for longer in motion than its noise explains.
     """
     inside = (wrench.time_s >= moved[0]) & (wrench.time_s <= moved[1])
     time = wrench.time_s[inside]
@@ -156,11 +156,11 @@ def check_sensor_alive(wrench: Series, moved: Float[np.ndarray, "2"], measured: 
         steps = np.abs(np.diff(column))
         several_counts = np.median(steps[steps > 0]) > 3 * np.diff(levels).min()
         longest = max((len(run) for run in runs(steps == 0)), default=0)
-        usually = ((steps == 0).sum() - longest + 1) / (len(steps) - longest + 1)  # beside the longest rest
+        equal = ((steps == 0).sum() - longest + 1) / (len(steps) - longest + 1)  # without the longest run
         for run in runs(np.diff(column[inside]) == 0):
             seconds = time[run[-1] + 1] - time[run[0]]
-            no_chance = several_counts or len(run) * np.log(usually) < np.log(_NO_CHANCE)
-            if seconds > _LONGEST_EQUAL and no_chance:
+            improbable = several_counts or len(run) * np.log(equal) < np.log(_STUCK_PROBABILITY)
+            if seconds > _LONGEST_EQUAL and improbable:
                 raise LogError(
                     f"sensor: {name} stays at {column[inside][run[0]]:g} for {seconds:.2g} s from "
                     f"{time[run[0]] - wrench.time_s[0]:.2f} s, in motion; allowed: {_LONGEST_EQUAL:g} s: it was stuck, "
@@ -185,10 +185,14 @@ def resampled_rotation(time: Float[np.ndarray, "N"], rotations: Rotation, base: 
 
 
 def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"], zeroed: bool = False) -> Phases:
-    """Phases by the mapping's windows; a gap belongs to the way to the next one. A zeroed sensor needs no tare.
+    """Phases by the mapping's windows; a zeroed sensor needs no tare.
+
+    Samples between windows are approach before the first steady window, ramp before the end of the last one, and
+    release after it.
 
     Raises:
-        LogError: no tare before the first steady window, no steady window, or one of both beyond the log's end.
+        LogError: no steady window, no tare before the first one, a tare or steady window beyond the log's end, or a
+            window without a sample.
     """
     phase, segment = np.full(len(time), Phase.RELEASE), np.full(len(time), -1)
     steady = [w for w in windows if w.kind == Phase.STEADY]
@@ -214,13 +218,14 @@ def phases_from_motion(
 ) -> Phases:
     """Phases of a turn, a slide or a push from the tool's motion at 100 Hz.
 
-    The tool is steady at the action's speed, and tares where it rests above the grasp, before and perhaps after.
+    The tool is steady at the action's speed. Its rests above the grasp are tares: the last one before the motion, and
+    the last one after it.
 
     Args:
         action: the recorded action.
         height: height of the TCP [m].
         velocity: velocity of the TCP, base axes [m/s, rad/s].
-        zeroed: True for a sensor that was zeroed before: then there need be no tare.
+        zeroed: True if the sensor was zeroed before the log, which then needs no tare.
 
     Raises:
         LogError: an accelerated turn, another number of steady stretches than the action has, or no tare.
@@ -255,13 +260,13 @@ def phases_from_motion(
     phase[starts:stops] = Phase.RAMP
     for i, stretch in enumerate(stretches):
         phase[stretch], segment[stretch] = Phase.STEADY, i
-    for tare in (before[-1], *after[-1:]) if before else ():  # a later one is no zero
+    for tare in (before[-1], *after[-1:]) if before else ():  # a zeroed sensor is not zeroed again
         phase[tare] = Phase.TARE
     return phase, segment
 
 
 def check_stretches(action: Action, velocity: Float[np.ndarray, "T 6"], segment: Int[np.ndarray, "T"]) -> None:
-    """Check that mapped stretches of constant speed have the action's speed and sense; of all turns, the axis.
+    """Check the speed and sense of mapped stretches against the action, and the axis of every turn.
 
     Args:
         action: the recorded action.
@@ -277,11 +282,11 @@ def check_stretches(action: Action, velocity: Float[np.ndarray, "T 6"], segment:
     if action.accelerated or action.pushes:
         return
     rate, wanted = _rate(action, smooth), np.array([stretch.speed for stretch in action.steady])
-    seen = np.array([np.median(rate[segment == index]) for index in range(segment.max() + 1)])
-    same = len(seen) == len(wanted)  # there and back, else either one
-    off = seen - wanted if same else np.abs(seen) - np.abs(wanted[0])
+    measured = np.array([np.median(rate[segment == index]) for index in range(segment.max() + 1)])
+    same = len(measured) == len(wanted)  # there and back, else either one
+    off = measured - wanted if same else np.abs(measured) - np.abs(wanted[0])
     if (np.abs(off) >= STEADY_WITHIN * np.abs(wanted[0])).any():
-        asked, found = (", ".join(_per_second(float(v), *_unit(action)) for v in each) for each in (wanted, seen))
+        asked, found = (", ".join(_speed_words(float(v), *_unit(action)) for v in each) for each in (wanted, measured))
         raise LogError(f"phases: the action turns or slides at {asked}; the log at {found}; correct the action's speed")
 
 
@@ -297,17 +302,17 @@ def _check_upright(turning: Float[np.ndarray, "N 3"]) -> None:
 
 
 def _rate(action: Action, velocity: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "T"]:
-    """Turn rate, or speed of a slide or a push."""
+    """Turn rate [rad/s], or speed of a slide or a push [m/s], shape (T,)."""
     return velocity[:, 5] if action.turns else np.linalg.norm(velocity[:, :2], axis=1)
 
 
 def _unit(action: Action) -> tuple[str, float]:
-    """Unit in which a speed is also given, and its factor."""
+    """Second unit of a speed in errors, and its factor."""
     return ("deg/s", 180 / np.pi) if action.turns else ("mm/s", 1e3)
 
 
 def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
-    """Stretches at the action's speed, in order, each at least half as long as it should be."""
+    """Samples of the stretches at the action's speed, in order, each at least half as long as the action states."""
     speed, _, seconds = action.steady[0]
     if action.pushes:
         near = runs(np.abs(rate - speed) < PUSHED_WITHIN * speed)
@@ -324,13 +329,14 @@ def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     if [np.sign(rate[s].mean()) for s in stretches] == np.sign(wanted).tolist():
         return stretches
     unit, scale = _unit(action)
-    asked = ", ".join(_speed(w, seconds, unit, scale) for w in wanted)
-    seen = [(float(np.median(rate[s])), len(s) / RATE) for s in stretches] or _constant_speeds(rate)
+    asked = ", ".join(_stretch_words(w, seconds, unit, scale) for w in wanted)
+    measured = [(float(np.median(rate[s])), len(s) / RATE) for s in stretches] or _constant_speeds(rate)
     fastest, none = float(np.abs(rate).max()), "none: its speed is never constant"
     if fastest < STILL[action.turns]:
         none = f"none: it does not {'turn' if action.turns else 'move'}"
     found = (
-        ", ".join(_speed(*one, unit, scale) for one in seen) or f"{none}, at most {_per_second(fastest, unit, scale)}"
+        ", ".join(_stretch_words(*one, unit, scale) for one in measured)
+        or f"{none}, at most {_speed_words(fastest, unit, scale)}"
     )
     raise LogError(
         f"phases: the action has steady stretches of {asked}; the log has {found}; correct the action's speed and "
@@ -338,12 +344,12 @@ def _steady(action: Action, rate: np.ndarray) -> list[np.ndarray]:
     )
 
 
-def _per_second(speed: float, unit: str, scale: float) -> str:
+def _speed_words(speed: float, unit: str, scale: float) -> str:
     return f"{speed:+.4g} {'rad/s' if unit == 'deg/s' else 'm/s'} ({scale * speed:+.3g} {unit})"
 
 
-def _speed(speed: float, seconds: float, unit: str, scale: float) -> str:
-    return f"{_per_second(speed, unit, scale)} for {seconds:.1f} s"
+def _stretch_words(speed: float, seconds: float, unit: str, scale: float) -> str:
+    return f"{_speed_words(speed, unit, scale)} for {seconds:.1f} s"
 
 
 def _constant_speeds(rate: np.ndarray) -> list[tuple[float, float]]:
@@ -369,7 +375,7 @@ def linear_stretches(rate: Float[np.ndarray, "T"]) -> list[tuple[float, np.ndarr
     time = np.arange(len(rate)) / RATE
     sums = np.vstack([np.zeros(5), np.cumsum([time**0, time, time**2, rate, time * rate], axis=1).T])
     squares = np.concatenate([[0.0], np.cumsum(rate**2)])
-    least, best, came = round(_SHORTEST_STEP / _GRID), np.full(len(ends), np.inf), np.zeros(len(ends), dtype=int)
+    least, best, previous = round(_SHORTEST_STEP / _GRID), np.full(len(ends), np.inf), np.zeros(len(ends), dtype=int)
     best[0], penalty = 0.0, _PENALTY * float((rate**2).max()) * RATE
     for last in range(least, len(ends)):
         first = np.arange(0, last - least + 1)
@@ -377,11 +383,11 @@ def linear_stretches(rate: Float[np.ndarray, "T"]) -> list[tuple[float, np.ndarr
         yy = squares[ends[last]] - squares[ends[first]]
         spread, along = tt - t**2 / n, ty - t * y / n
         left = best[first] + np.maximum(yy - y**2 / n - along**2 / spread, 0.0) + penalty
-        came[last] = int(np.argmin(left))
-        best[last] = left[came[last]]
+        previous[last] = int(np.argmin(left))
+        best[last] = left[previous[last]]
     cuts = [len(ends) - 1]
     while cuts[-1] > 0:
-        cuts.append(int(came[cuts[-1]]))
+        cuts.append(int(previous[cuts[-1]]))
     places = [np.arange(ends[a], ends[b]) for a, b in zip(cuts[:0:-1], cuts[-2::-1], strict=True)]
     found = [(float(np.polyfit(time[place], rate[place], 1)[0]), place) for place in places]
     inner = found[1:-1]

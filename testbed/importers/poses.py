@@ -1,4 +1,4 @@
-"""Poses of the hand, and of what a camera sees: columns, messages, a tree of transforms, joint angles and a URDF."""
+"""Poses of the hand, and of objects by a camera: columns, messages, a tree of transforms, joint angles and a URDF."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _FIELDS = {
 """Fields of position and quaternion of the messages that have them."""
 _TREE = "tf2_msgs/TFMessage"
 FROZEN = 0.1
-"""Time from which a pose that is repeated amid a motion is none [s]."""
+"""Shortest repetition of a pose within a motion that is left out [s]."""
 BEFORE = 5
-"""Steps before it that show the motion."""
-_LYING = 20.0
-"""Greatest angle between a seen object's z axis and the base's [deg]."""
+"""Number of steps before a repetition from which the speed is estimated."""
+_TILTED = 20.0
+"""Largest angle between the z axes of an object on the table and of the base [deg]."""
 
 
 def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
@@ -59,8 +59,8 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
     return series._replace(values=hand.upright.apply(series.values)), hand.upright * turned
 
 
-def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:
-    """Pose of an object frame as a camera sees it, arm's base frame.
+def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:
+    """Pose of an object frame by a camera, arm's base frame.
 
     Args:
         log: where it is.
@@ -73,14 +73,14 @@ def seen_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Time
         InvalidValueError: as `hand_pose`.
         LogError: values that are no pose, or a frame that does not lie on the table.
     """
-    series, seen = without_frozen(_pose(log, field, part, time))
+    series, marker = without_frozen(_pose(log, field, part, time))
     mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
-    place = mount.apply(series.values + seen.apply(part.object_m)) + camera.in_base_m
-    turned = mount * seen * Rotation.from_quat(part.object_wxyz, scalar_first=True)
+    place = mount.apply(series.values + marker.apply(part.object_m)) + camera.in_base_m
+    turned = mount * marker * Rotation.from_quat(part.object_wxyz, scalar_first=True)
     tilt = np.degrees(np.arccos(np.clip(turned.as_matrix()[:, 2, 2], -1.0, 1.0)))
-    if (usual := float(np.median(tilt))) > _LYING:
+    if (usual := float(np.median(tilt))) > _TILTED:
         raise LogError(
-            f"{field}: the object's z axis is {usual:.0f} deg from the base's; allowed: {_LYING:g} deg, up from the "
+            f"{field}: the object's z axis is {usual:.0f} deg from the base's; allowed: {_TILTED:g} deg, up from the "
             "table: check object_wxyz and in_base_wxyz"
         )
     return Series(series.time_s, place), turned
@@ -122,14 +122,15 @@ def _from_columns(
 
 
 def without_frozen(pose: Pose) -> Pose:
-    """Poses without those that repeat the one before for `FROZEN` or longer amid a motion.
+    """Poses without repetitions of `FROZEN` or longer within a motion.
 
-    What a source repeats when it loses the hand or the object is no measurement. A rest stays: no jump ends it.
+    A source that loses the hand or the object may repeat its last pose, which is no measurement. A rest is kept: no
+    jump ends it.
     """
     (stamps, place), turned = pose
     quaternion = turned.as_quat()
-    turns_over = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0  # q and -q are one rotation
-    quaternion[1:] *= np.cumprod(np.where(turns_over, -1.0, 1.0))[:, None]
+    flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0  # q and -q are one rotation
+    quaternion[1:] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
     steps = np.abs(np.diff(np.hstack([place, quaternion]), axis=0)).max(axis=1)
     kept = np.full(len(stamps), True)
     for run in runs(steps == 0):

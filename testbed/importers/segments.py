@@ -53,7 +53,7 @@ _ROTATION = np.radians(3.0)
 _WAY = 0.005
 """Shortest slide [m]."""
 _DRAG = 0.15, 0.01
-"""Force in the table's plane [N] and torque about its normal [N m] below which nothing is held, beside noise."""
+"""Largest force in the table's plane [N] and torque about its normal [N m] of an empty hand, without noise."""
 _LIFTED = 0.5
 """Change of the vertical force over the first tare above which a high hand carries something [N]."""
 _STRAIGHT = np.radians(3.0)
@@ -95,7 +95,7 @@ class Segment:
     reason: str = ""
     """Why a motion beside the object is no push."""
     lay: tuple[float, float, float] | None = None
-    """Pose at its begin of a rigid object that a camera sees [m, m, rad], base axes."""
+    """Pose of a rigid object at its begin by a camera [m, m, rad], base axes."""
 
     @property
     def held(self) -> bool:
@@ -106,9 +106,10 @@ class Segment:
 def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[Segment]:
     """Segments of a recording, in order.
 
-    A tare is a rest of the hand above the table, a motion that the sensor feels is one of the object. A turn and its
-    way back are one action. A motion beside a rigid object that a camera sees is a push. The grasps are those where the
-    camera sees the object, or else those between which it moves as the hand left it each time.
+    A tare is a rest of the hand above the table. A motion under force in the table's plane, or torque about its normal,
+    moves the object. A turn and its way back are one action. A motion beside a rigid object with a camera is a push.
+    The grasps are those at the object's poses by the camera, or else those between which it moves as the hand left it
+    each time.
 
     Args:
         log: a table, an .mcap file, or a ROS 2 bag.
@@ -142,7 +143,7 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
 
 @dataclass(frozen=True, eq=False)
 class _Lying:
-    """A rigid object that a camera sees."""
+    """Rigid object on the table by a camera."""
 
     shape: ObjectShape
     pose: np.ndarray
@@ -219,7 +220,7 @@ class _Motion:
         return float(abs(force[0] - force[1]))
 
     def _world(self, at: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Vectors by the sensor's axes, by the base's."""
+        """Vectors in base axes, from sensor axes."""
         return self.sensor[int(at[0]) : int(at[-1]) + 1].apply(vectors)
 
     def _ends(self, run: np.ndarray) -> tuple[float, float]:
@@ -230,11 +231,11 @@ class _Motion:
         return x, y, float(self.yaw[index])
 
     def _drags(self, part: np.ndarray, tare: np.ndarray | None) -> bool:
-        """True if the sensor feels the motion."""
+        """True if force or torque is that of a motion of the object."""
         net = _net(self.wrench, part, tare)
         force, torque = (self._world(part, net[:, columns]) for columns in (slice(3), slice(3, 6)))
-        seen = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
-        return bool((np.array(seen) > self._least()).any())
+        load = np.median(np.linalg.norm(force[:, :2], axis=1)), np.median(np.abs(torque[:, 2]))
+        return bool((np.array(load) > self._least()).any())
 
     def _least(self) -> np.ndarray:
         """Least force in the plane [N] and torque [N m] of a motion of the object."""

@@ -19,7 +19,7 @@ from testbed.importers.logs import LogError, Series, factor, read_all
 from testbed.importers.mapping import Mapping
 from testbed.importers.messages import open_messages
 from testbed.importers.phases import RATE, common_base, resampled, resampled_rotation, without_faults
-from testbed.importers.poses import Log, Pose, hand_pose, seen_pose
+from testbed.importers.poses import Log, Pose, camera_pose, hand_pose
 from testbed.importers.tables import ARRAYS, TableLog
 from testbed.sensing.camera import PoseStream
 
@@ -31,7 +31,7 @@ _TEXTS = (".csv", ".tsv", ".txt")
 _BAGS = (".db3", ".mcap")
 _SUFFIXES = ", ".join(_TEXTS + ARRAYS + _BAGS)
 MOST_TURNS = 20.0
-"""Angle of a joint, in turns, beyond which it is none: cables and hoses end sooner."""
+"""Largest angle of a joint [turns]: cables and hoses allow less."""
 _WRENCHES = {"geometry_msgs/WrenchStamped": "wrench.", "geometry_msgs/Wrench": ""}
 """Beginning of the fields of the messages that hold a wrench."""
 
@@ -49,26 +49,26 @@ class Streams:
     """Time of the first sample that all of them cover [s]."""
     left_out: str = ""
     """Samples of the wrench that measured nothing, in words."""
-    seen: tuple[Pose, ...] = ()
+    camera_poses: tuple[Pose, ...] = ()
     """Poses of each link from a camera; they may cover less than the rest."""
 
     @classmethod
     def of(cls, source: Log, table: Mapping, folder: Path) -> Streams:
         """All streams of a log; all their errors at once. `folder` is the mapping's."""
         other = sensor_log(source, table, folder)
-        (wrench, left_out), pose, joints, velocity, seen = read_all(
+        (wrench, left_out), pose, joints, velocity, camera_poses = read_all(
             lambda: read_wrench(other, table.sensor, table.time),
             lambda: hand_pose(source, table.hand, table.time, folder),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
             lambda: _velocity(source, table.velocity, table.time, table.hand) if table.velocity else None,
-            lambda: _seen(source, table, folder),
+            lambda: _camera_poses(source, table, folder),
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
         wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
         if table.sensor.torque_about == "tcp":
             lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
             wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
-        streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, left_out, seen)
+        streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, left_out, camera_poses)
         return replace(streams, begin_s=float(max(one.time_s[0] for one in streams.needed)))
 
     @property
@@ -77,7 +77,7 @@ class Streams:
         return [one for one in (self.wrench, self.pose[0], self.joints, self.velocity) if one is not None]
 
     def early(self, seconds: float) -> Streams:
-        """Streams with the wrench's stamps moved back by a time [s]."""
+        """Streams with the wrench's stamps shifted back by a time [s]."""
         return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
 
     def within(self, from_s: float, to_s: float | None) -> Streams:
@@ -113,22 +113,22 @@ class Streams:
         return resampled(self.pose[0], base) + hand.apply(table.hand.tcp_in_hand_m), hand
 
     def camera(self, table: Mapping, base: np.ndarray) -> PoseStream | None:
-        """Frames of the camera about a trial, by time since the base's first; None without a camera.
+        """Frames of the camera around a trial, times from the base's first; None without a camera.
 
         Raises:
-            LogError: none of a part while the trial lasts.
+            LogError: no frame of a part during the trial.
         """
         if table.camera is None:
             return None
-        time = np.unique(np.concatenate([series.time_s for series, _ in self.seen]))
-        poses = np.full((len(time), len(self.seen), 3), np.nan)
-        for part, (place, turned) in enumerate(self.seen):
+        time = np.unique(np.concatenate([series.time_s for series, _ in self.camera_poses]))
+        poses = np.full((len(time), len(self.camera_poses), 3), np.nan)
+        for part, (place, turned) in enumerate(self.camera_poses):
             along = turned.apply([1.0, 0.0, 0.0])
             yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
             poses[np.searchsorted(time, place.time_s), part] = np.column_stack([place.values[:, :2], yaw])
         time = time - table.camera.delay_s - base[0]
         kept = (time >= -_AROUND) & (time <= base[-1] - base[0] + _AROUND)
-        for part in range(len(self.seen)):
+        for part in range(len(self.camera_poses)):
             if np.isnan(poses[kept, part]).all():
                 raise LogError(
                     f"camera.parts.{part}: no frame during the trial; allowed: frames by the clock of the hand's pose"
@@ -197,7 +197,7 @@ def read_wrench(log: Log, sensor: SensorMap, time: TimeMap) -> tuple[Series, str
 
 
 def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap, hand: HandMap) -> Series:
-    """Wrench by the axes of the sensor, of one that may be by those of the arm's base, as a UR reports it."""
+    """Wrench in the axes of the sensor; some robots, as those of UR, report it in those of the base."""
     if sensor.axes == "sensor":
         return wrench
     mount = Rotation.from_quat(sensor.in_hand_wxyz, scalar_first=True)
@@ -207,7 +207,7 @@ def in_sensor_axes(wrench: Series, pose: Pose, sensor: SensorMap, hand: HandMap)
     )
 
 
-def _seen(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
+def _camera_poses(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
     """Poses of each link from the camera, by the clock of the source."""
     if table.camera is None:
         return ()
@@ -215,7 +215,7 @@ def _seen(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]:
 
     def read(index: int, part: PartMap) -> Pose:
         log = source if part.file is None else open_log(folder / part.file, table)
-        series, turned = seen_pose(log, f"camera.parts.{index}", part, camera, part.time or table.time)
+        series, turned = camera_pose(log, f"camera.parts.{index}", part, camera, part.time or table.time)
         return series._replace(time_s=series.time_s + (log.epoch_s - source.epoch_s)), turned
 
     return tuple(read_all(*(partial(read, *each) for each in enumerate(camera.parts))))

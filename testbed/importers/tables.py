@@ -41,7 +41,7 @@ _GZIP = b"\x1f\x8b"
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _UNIT = re.compile(r"[\[(]?(k?N|kgf|lbf|m?N[ *.]?m{1,2}|[mcu]?m|[mun]?s|rad|deg|°)( ?/ ?s)?[\])]?")
 EPISODE = "episode_index"
-"""Column of LeRobot's data that says which episode a row is of."""
+"""Column of the episode of each row in data of LeRobot."""
 
 
 class TableLog:
@@ -53,10 +53,10 @@ class TableLog:
 
     def __init__(self, path: Path, mapping: Columns):
         self.path, self.epoch_s = path, 0
-        """Whole second since 1970 from which dates count; 0 of numbers, which count from where the log says."""
+        """Whole second since 1970 from which dates count; 0 for numbers, which count from a zero of the log's own."""
         self._where, self._decimal = mapping.where, mapping.decimal
         self.numbered = mapping.rows == "poses"
-        """True of rows without times, which are numbered: poses of their own."""
+        """True if rows have no times: each is a pose, and their numbers take the place of times."""
         if path.suffix in ARRAYS:
             self._row, self._names, self._columns = "row", *_arrays(path)
         else:
@@ -141,7 +141,7 @@ class TableLog:
         return cells
 
     def _since_epoch(self, stamps: np.ndarray) -> np.ndarray:
-        """Seconds of dates from the second of the first one, exact to the nanosecond; NaN of none."""
+        """Seconds of dates from the whole second of the first one, exact to the nanosecond; NaN for a blank."""
         there, nanoseconds = ~np.isnat(stamps), stamps.astype(np.int64)
         if self.epoch_s == 0 and there.any():
             self.epoch_s = int(nanoseconds[there][0]) // SECOND

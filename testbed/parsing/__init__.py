@@ -1,1 +1,1 @@
-"""Parsers of strangers' logs and meshes, each in a process of its own with bounded memory, time and output."""
+"""Parsers of untrusted logs and meshes, each in a process of its own with bounded memory, time and output."""

@@ -19,7 +19,7 @@ import numpy as np
 from testbed.parsing.process import run_parser
 
 MOST_LETTERS, MOST_BRACKETS, MOST_ITEMS = 2**18, 8, 100_000
-"""Letters of a message's definition, brackets within brackets in it, and items of a fixed array."""
+"""Largest definition of a message [letters], depth of its brackets, and number of items of a fixed array."""
 MOST_BYTES = 2**20
 """Largest message that is read [B]: wrenches, poses and transforms are far smaller, images are not needed."""
 _TYPE = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,3}", re.ASCII)
@@ -50,7 +50,7 @@ def topics(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def messages(path: Path, topic: str) -> Iterator[tuple[int, int, str]]:
-    """Times of a topic's messages, and their content as JSON in one line; sent when logged where a bag does not say."""
+    """Times at which messages were logged and sent [ns], equal in a bag, and their content as a line of JSON."""
     number = 0
     if path.suffix == ".mcap":
         with _whole("an MCAP file"):
@@ -75,7 +75,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, int, str]]:
 
 @contextmanager
 def _whole(what: str) -> Iterator[None]:
-    """Say of which kind a file is not; damaged bytes raise anything, from the decompressors too."""
+    """Name the expected kind of file in errors: damaged bytes raise many types, also in decompressors."""
     try:
         yield
     except (ImportError, MemoryError):

@@ -20,18 +20,18 @@ from testbed.errors import HeftError
 MEMORY = 2**30
 """Memory of a parser [B]."""
 SECONDS, SECONDS_PER_MB = 10, 1
-"""Computing time of a parser [s], and more for each megabyte of the file."""
+"""CPU time of a parser [s], and its increment for each megabyte of the file [s]."""
 OUTPUT = 2**29
 """Largest result [B]."""
 SLOWER = 6
-"""Time by the clock over computing time, on a machine that does other work."""
+"""Ratio of the limits of wall time and CPU time: other processes may take the rest."""
 MOST_LETTERS = 400
 """Letters of a reason."""
 _LIMITS = "HEFT_PARSER_SECONDS"
 
 
 class ParserError(HeftError, ValueError):
-    """A file that a parser refuses, or that needs more than a parser may have. The message is the reason alone."""
+    """File that a parser refuses, or that exceeds a parser's limits. The message is the reason alone."""
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
 
     Args:
         module: module to run, with the path, the words and the path of the result as arguments.
-        path: the stranger's file or folder.
+        path: the untrusted file or folder.
         words: further arguments.
 
     Raises:
@@ -92,13 +92,15 @@ def run_parser(main: Callable[..., None]) -> None:
         (resource.RLIMIT_FSIZE, OUTPUT),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(what, (most, most + (what == resource.RLIMIT_CPU)))  # at the harder one a signal says less
+        resource.setrlimit(
+            what, (most, most + (what == resource.RLIMIT_CPU))
+        )  # at the hard limit the kernel sends SIGKILL, not SIGXCPU
     reason = refusal(main, sys.argv[1:])
     if not reason:
         sys.exit(0)
     print(reason, file=sys.stderr)
     sys.stderr.flush()
-    os._exit(1)  # no more memory is asked for
+    os._exit(1)  # cleanup could need more memory
 
 
 def refusal(main: Callable[..., None], words: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from testbed.parsing.process import run_parser
 
 MOST_ITEMS = 1000
-"""Longest list, or widest array, that is read: an image is none."""
+"""Largest number of items of a list, or columns of an array, that are read: images have more."""
 MOST_COLUMNS = 10_000
 _NUMBERS = "biuf"
 

@@ -51,7 +51,7 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Problem:
-    """Row of the table of problems: all that is known of an object before its trials."""
+    """Row of the table of problems: an object as known before its trials."""
 
     problem: str
     """Identifier."""
@@ -72,7 +72,7 @@ class Problem:
     """Time of the robot in all trials [s]."""
 
     def model(self, folder: Path) -> ObjectModel:
-        """Object whose masses and frictions hold places."""
+        """Object with placeholders for masses and frictions."""
         return ObjectFile.model_validate_json(self.shape).build(3, folder)
 
 
@@ -155,7 +155,7 @@ class Benchmark:
 
 @lru_cache(maxsize=1)
 def trajectories_of(folder: Path, problem: str) -> tuple[Trajectory, ...]:
-    """Trials of a problem; a worker's next method is mostly given the same ones."""
+    """Trials of a problem, cached: a worker's next method mostly has the same ones."""
     return tuple(Benchmark(folder).trajectories(problem))
 
 

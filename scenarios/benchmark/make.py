@@ -32,7 +32,7 @@ TRUTH_FILE = "truth_test.json"
 
 @dataclass(frozen=True)
 class Made:
-    """Benchmark that has been made."""
+    """Result of `make`."""
 
     truth: Path
     """Truth of the test split, which is not to be published."""
@@ -49,7 +49,7 @@ def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int 
         counts: problems of each kind and world, by split.
         secret: secret of the test split; a fresh one, or that of an earlier call, if left out.
         workers: worker processes; 0 is this process, None one a core.
-        progress: receives how far it is.
+        progress: receives the progress.
 
     Raises:
         InvalidValueError: a short secret, or a folder made with another one.
@@ -57,7 +57,7 @@ def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int 
     """
     private = folder.absolute().with_name(f"{folder.absolute().name}-private")
     with exclusive(private), open_executor("local", workers, preload=("scenarios.study.run",)) as tasks:
-        secret = _agreed(private, secret)
+        secret = _test_secret(private, secret)
         made: list[tuple[Cell, Entry]] = []
         left_out: list[str] = []
         for splits, name, own in ((SPLITS[:2], "public", PUBLISHED_SECRET), (SPLITS[2:], "test", secret)):
@@ -71,7 +71,7 @@ def make(folder: Path, counts: dict[str, int], secret: str | None, workers: int 
     return Made(private / TRUTH_FILE, tuple(problems), tuple(left_out))
 
 
-def _agreed(private: Path, secret: str | None) -> str:
+def _test_secret(private: Path, secret: str | None) -> str:
     """Secret of the test split, kept in the private folder."""
     if secret is not None and (len(secret) < LEAST_SECRET or secret == PUBLISHED_SECRET):
         allowed = f"{LEAST_SECRET} letters or more that are not published: layouts of test objects show a short secret"
@@ -86,7 +86,7 @@ def _agreed(private: Path, secret: str | None) -> str:
 
 
 class _Simulated:
-    """Trials of some cells; the objects of a cell are prepared while trials of the last are simulated."""
+    """Trials of some cells; the objects of a cell are prepared during the trials of the one before."""
 
     def __init__(self, wanted: list[Cell], store: Store, tasks: Executor, progress: Progress):
         self._waiting, self._store, self._tasks = deque(wanted), store, tasks
@@ -97,7 +97,7 @@ class _Simulated:
         self._run.expected = sum(cell.expected_trials for cell in wanted)
 
     def work_off(self) -> list[tuple[Cell, Entry]]:
-        """Make all trials; the problems whose trials are there, with their cells."""
+        """Simulate all trials: the problems whose trials succeeded, with their cells."""
         work_off(self._tasks, self._run.start, self._prepare)
         self.left_out += [f"{each.particles.name}: {each.failure}" for each in self._ended if each.failure]
         done = [each for each in self._ended if not each.failure]

@@ -24,7 +24,7 @@ from scenarios.study.experiment import Progress
 
 @dataclass(eq=False)
 class AnswerRun:
-    """Answers of some methods to some problems; those that a store has are not made again."""
+    """Answers of some methods to some problems; those in the store are reused."""
 
     benchmark: Benchmark
     problems: Sequence[Problem]
@@ -46,7 +46,7 @@ class AnswerRun:
         self.waiting = deque((problem, label) for problem in self.problems for label in self.methods)
 
     def start(self) -> bool:
-        """Start the next answer, or take one that is there; False where none wait."""
+        """Start the next answer, or reuse a stored one; False if none is left."""
         if not self.waiting:
             return False
         problem, label = self.waiting.popleft()

@@ -26,13 +26,13 @@ SENSING = "ft300s"
 PUBLISHED_SECRET = "heft-benchmark-1"
 """Secret of train and validation, which is public."""
 MASS_KG, LINK_KG = (0.05, 0.8), (0.03, 0.3)
-"""Least and most mass of a block, and of a smaller one in links."""
+"""Range of the mass of a block, and of a smaller block in links [kg]."""
 FRICTION, HINGE_NM = (0.2, 0.7), (0.003, 0.02)
-"""Least and most friction of the table, and of a hinge."""
+"""Range of the coefficient of friction on the table, and of the friction of a hinge [N m]."""
 SHARE = (0.5, 2.0)
-"""Least and most factor on the mass of a part of a mesh."""
+"""Range of the factor on the mass of a part of a mesh."""
 MASSES = 64
-"""Masses of which those of a cell's blocks are drawn."""
+"""Number of masses from which those of a cell's blocks are drawn."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Cell:
 
     @property
     def expected_trials(self) -> int:
-        """Trials of all its problems, the weighings among them, where nothing is refused."""
+        """Number of trials of all its problems, weighings included, if none is refused."""
         return KINDS[self.kind].policy.expected_trials * self.count
 
     def scenario(self, store: Store) -> Scenario:
@@ -113,7 +113,7 @@ class Cell:
 
 
 def cells(split: str, count: int) -> list[Cell]:
-    """Cells of a split, of so many problems each."""
+    """Cells of a split, with `count` problems each; none for 0."""
     return [Cell(split, kind, world, count) for kind in KINDS for world in WORLDS] if count else []
 
 

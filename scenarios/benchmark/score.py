@@ -22,7 +22,7 @@ from testbed.files import read_file
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 
 ALPHA = 0.1
-"""Part of the truths that the intervals of the score should miss."""
+"""Fraction of the truths outside intervals of the score at their nominal level."""
 MISSING = "missing"
 """Status of a problem without an answer."""
 
@@ -61,7 +61,7 @@ def even_masses(shape: ObjectShape, weight: float) -> Float[np.ndarray, "n_m"]:
 
 
 def judged_row(problem: Problem, model: ObjectModel, truth: Truth, answer: Answer | None) -> dict[str, Any]:
-    """Row of one problem: the answer held against the truth. A missing one counts as even masses."""
+    """Row of one problem: the answer compared with the truth. A missing answer counts as even masses."""
     true = np.array(truth.mass_kg)
     mass, error, answered = even_masses(model.shape, problem.weight_kg), None, False
     if answer is not None and answer.mass_kg is not None and sum(answer.mass_kg) > 0:

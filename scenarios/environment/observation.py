@@ -1,4 +1,4 @@
-"""Observation of a planning environment: what a policy knows, as arrays of fixed sizes."""
+"""Observation of a planning environment: knowledge of a policy as arrays of fixed sizes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from estimators.action_selection.design import Belief
 MOST_GROUPS, MOST_GRASPS, MOST_DONE = 8, 16, 20
 """Rows for mass groups and grasps, more for a given object that has more, and for the latest actions."""
 DECADES = 6.0
-"""Decades below 1 of the least error, which is -1."""
+"""Decades of errors below 1: an error of 1e-6 is -1 in the observation."""
 MOST_KG = 100.0
 """Greatest weight [kg]."""
 
 
 def observation_space(groups: int, grasps: int) -> spaces.Dict:
-    """Space of `observation`, with rows for so many groups and grasps."""
+    """Space of `observation`, with rows for `groups` mass groups and `grasps` grasps."""
     one = {"group_mask": (groups,), "grasp_mask": (grasps,), "mean": (groups,), "time_left": (1,)}
     signed = {
         "groups": (groups, 7),
@@ -52,7 +52,7 @@ def observation(
         box: shape, grasps and unit of length.
         belief: errors of the masses.
         mean: mass of each group as a part of M.
-        time_left: part of the robot time that is left.
+        time_left: fraction of the robot time that is left.
         done: points of the actions so far, each with 1 for one that went well, else -1.
     """
     shape, unit = box.shape, box.reach
@@ -90,6 +90,6 @@ def _group(box: ActionBox, group: int) -> tuple[float, ...]:
 
 
 def _grasp(box: ActionBox, grasp: int) -> tuple[float, ...]:
-    """Place, and direction in which the pads close, doubled as both senses are one."""
+    """Position, and cosine and sine of twice the closing angle: both senses are equal."""
     place = box.shape.grasps[grasp]
     return (*(place.position / box.reach).tolist(), float(np.cos(2 * place.angle)), float(np.sin(2 * place.angle)))

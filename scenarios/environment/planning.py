@@ -44,7 +44,7 @@ Backend = Literal["expected", "analytic", "mujoco"]
 Reward = Literal["nad", "log_nad", "final"]
 """Fall of the expected NAD or of its logarithm per robot second, or minus the true NAD at the end."""
 ATTEMPTS = 100
-"""Objects that are drawn for one that the hand can grip."""
+"""Largest number of draws of an object that the hand can grip."""
 
 
 class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
@@ -105,7 +105,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin with another object, drawn and weighed by the seed."""
+        """Start an episode with another object, drawn and weighed by the seed."""
         super().reset(seed=seed)
         drawn, weighed, self._noise = (int(n) for n in self.np_random.integers(2**31, size=3))
         mujoco = self.backend == "mujoco"
@@ -123,7 +123,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self._observation(), {"expected_nad": self.belief.expected_nad, "seconds": 0.0, "why": "", "action": ""}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Make one action, if it can be done and there is time for it."""
+        """Do one action, if it is feasible and the robot time suffices."""
         chosen, before = self.box.action(action), self.belief.expected_nad
         seconds, why = self._attempt(chosen)
         self.left = max(self.left - seconds, 0.0)
@@ -148,7 +148,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def _attempt(self, action: Action) -> tuple[float, str]:
-        """Robot time of an action [s], and why it was refused or failed; takes it into the belief."""
+        """Robot time of an action [s], and the reason of a refusal or failure; updates the belief."""
         time = RobotTime()
         way = time.between(self.box.shape, self.done[-1] if self.done else None, action)
         seconds, why = way + time.of(action), self.box.refusal(action)
@@ -172,7 +172,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return seconds, why
 
     def _predicted(self, action: Action) -> Float[np.ndarray, "S U U"]:
-        """Information that an action is expected to show, at uniform masses."""
+        """Expected information of an action, at uniform masses."""
         if action not in self.predictions:
             shape, at = self.box.shape, self.guess.uniform(self.box.shape)
             each = [predicted_information(shape, at, [action], self.guess.sensing, a) for a in self.guess.assumptions()]
@@ -193,7 +193,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return draw_sensing(SimulationRunner().run_clean(Trial(self._model, action)), self.sensing, seed)
 
     def _learn(self, trial: Trajectory) -> None:
-        """Take one more trial into the answer and the belief."""
+        """Update the answer and the belief by one more trial."""
         shape, guess = self.box.shape, self.guess
         self._trials.append(trial)
         estimate = self.estimator.estimate(shape, guess.weight, self._trials, 0)

@@ -22,9 +22,9 @@ from testbed.errors import HeftError
 from testbed.validation import check_integer
 
 SPREAD = 0.3
-"""First standard deviation of the weights, about those of greedy."""
+"""Initial standard deviation of the weights about those of greedy."""
 UNSEEN = 1_000_000
-"""Distance of the seeds of the objects for comparison from those for training."""
+"""Offset of the seeds of unseen objects from those of training."""
 
 
 def train(

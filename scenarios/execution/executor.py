@@ -1,4 +1,4 @@
-"""Running tasks: in this process, on worker processes, or on a Ray cluster. A task that fails comes back as a value."""
+"""Interface of executors, and the one that runs tasks in this process. The value of a failed task is a `Failure`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from testbed.files import print_damage_plainly
 
 ExecutorName = Literal["inline", "local", "ray"]
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-"""Errors of a full, read-only or broken disk: no fault of the task's, and the next task would meet them too."""
+"""Errors of a full, read-only or broken disk, which the next task would raise too."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Limits:
     """Limits of a task."""
 
     timeout_s: float = 600.0
-    """A task that takes longer has hung. Not held by `inline`."""
+    """Time after which a task counts as hung [s]. Ignored by `inline`."""
     tries: int = 3
-    """Number of times that a task is begun whose worker dies or is too slow."""
+    """Largest number of attempts at a task whose worker dies or exceeds the time."""
     memory_gib: float = 4.0
-    """Data of one worker, GiB: over three times the 1.2 that `heft run blocks` took at most; imports alone take 0.43.
-    Not held by `inline`."""
+    """Data of one worker [GiB]: over three times the 1.2 of `heft run blocks` at most; imports alone take 0.43.
+    Ignored by `inline`."""
 
 
 @dataclass(frozen=True)
@@ -41,20 +41,20 @@ class Failure:
     reason: str
     """One line."""
     detail: str
-    """Traceback, or all that is known."""
+    """Traceback, or another description of the failure."""
 
 
 class Executor(Protocol):
-    """Starts tasks and gives them back as they end, in any order."""
+    """Runner of tasks, whose values return as they end, in any order."""
 
     @property
     def capacity(self) -> int:
-        """Tasks in flight that keep every worker busy; more would only take memory."""
+        """Number of tasks in flight that keep every worker busy; more would only take memory."""
         ...
 
     @property
     def running(self) -> int:
-        """Tasks started and not yet given back."""
+        """Number of tasks whose values have not returned."""
         ...
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
@@ -62,7 +62,7 @@ class Executor(Protocol):
         ...
 
     def wait(self) -> tuple[Any, Any]:
-        """The label and the value, or `Failure`, of a task that has ended.
+        """Label and value, or `Failure`, of a task that has ended.
 
         Raises:
             OSError: a task could not write: disk full, read-only, broken.
@@ -74,9 +74,9 @@ def work_off(executor: Executor, *sources: Callable[[], bool]) -> None:
     """Keep an executor busy until no source has work left.
 
     Args:
-        executor: to run tasks on; each is started under a function of its value, which is called when it has ended.
-        sources: each starts its next task, or does what needs none; False where it has nothing to start. An earlier
-            source goes first.
+        executor: executor of the tasks; the label of each task is a function, called with its value at its end.
+        sources: functions that start their next task, or do work without one, and return False if there is none. An
+            earlier source goes first.
     """
     while True:
         capacity = executor.capacity
@@ -89,7 +89,7 @@ def work_off(executor: Executor, *sources: Callable[[], bool]) -> None:
 
 
 class InlineExecutor:
-    """Every task in this process, when it is started; a task that hangs or crashes takes the run with it."""
+    """Tasks in this process, run by `start`; a task that hangs or crashes stops the run."""
 
     capacity = 1
 
@@ -99,7 +99,7 @@ class InlineExecutor:
 
     @property
     def running(self) -> int:
-        """Tasks started and not yet given back."""
+        """Number of tasks whose values have not returned."""
         return len(self._done)
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
@@ -112,7 +112,7 @@ class InlineExecutor:
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Run a task where it is: its value, a `Failure` where it raises, or an OSError where the disk is at fault."""
+    """Run a task in this process: its value, a `Failure` if it raises, or an OSError of the disk."""
     try:
         return function(*arguments)
     except (Exception, SystemExit) as error:
@@ -125,14 +125,14 @@ def call(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def given_back(label: Any, value: Any) -> tuple[Any, Any]:
-    """The pair; what ends the whole run is raised."""
+    """Label and value of a task; an OSError ends the run, and is raised."""
     if isinstance(value, OSError):
         raise value
     return label, value
 
 
 def set_up_worker(limits: Limits) -> None:
-    """One thread a worker, as two workers on two cores must not fight; bounded memory; first to go if that runs out."""
+    """Limit this worker to one thread and bounded memory; the kernel kills it first if memory runs out."""
     torch.set_num_threads(1)
     print_damage_plainly()
     size = int(limits.memory_gib * 2**30)
@@ -145,5 +145,5 @@ def set_up_worker(limits: Limits) -> None:
 
 
 def default_workers() -> int:
-    """One worker a core that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))

@@ -24,7 +24,7 @@ from testbed.errors import HeftError
 _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
 _POLL_S = 1.0
-"""Time between two looks for workers that left without a word [s]."""
+"""Interval of the checks for workers that exited silently [s]."""
 
 
 @dataclass(eq=False)
@@ -60,27 +60,27 @@ class LocalExecutor:
 
     @property
     def running(self) -> int:
-        """Tasks started and not yet given back."""
+        """Number of tasks whose values have not returned."""
         return len(self._waiting) + len(self._done) + sum(worker.task is not None for worker in self._workers)
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Give a task to an idle worker, or keep it until there is one."""
+        """Start a task on an idle worker, or queue it."""
         self._waiting.append(_Task(label, function, arguments))
-        self._hand_out()
+        self._assign()
 
     def wait(self) -> tuple[Any, Any]:
-        """The label and the value, or `Failure`, of a task that has ended; its worker has its next one already."""
+        """Label and value, or `Failure`, of a task that has ended; its worker has its next task already."""
         while True:
             busy = {worker.future: worker for worker in self._workers if worker.future is not None}
             ended, _ = wait(busy, timeout=0.0 if self._done else _POLL_S, return_when=FIRST_COMPLETED)
             for future, worker in busy.items():
-                if future in ended or worker.left_without_a_word():
+                if future in ended or worker.exited_silently():
                     self._take(worker)
-            self._hand_out()
+            self._assign()
             if self._done:
                 return given_back(*self._done.popleft())
 
-    def _hand_out(self) -> None:
+    def _assign(self) -> None:
         for worker in self._workers:
             if self._waiting and worker.task is None:
                 worker.give(self._waiting.popleft())
@@ -99,15 +99,15 @@ class LocalExecutor:
 
 @dataclass(frozen=True)
 class _Lost:
-    """A task that did not end by itself."""
+    """Task whose worker ended before it did."""
 
     why: str
 
 
 class _Worker:
-    """One worker process, in a pool of its own.
+    """Worker process in a pool of its own.
 
-    A worker that is killed may leave behind a lock that it held or half a message: all of that is thrown away with it.
+    A killed worker may leave a locked lock or half a message, which are discarded with its pool.
     """
 
     def __init__(self, limits: Limits, preload: Sequence[str]):
@@ -119,7 +119,7 @@ class _Worker:
         self.future: Future[Any] | None = None
 
     def give(self, task: _Task) -> None:
-        """Begin a task, on a new process if the last one died meanwhile."""
+        """Start a task, on a new process if the last one has died."""
         self.task = task
         task.tries += 1
         cause: Exception | None = None
@@ -132,11 +132,11 @@ class _Worker:
                 return
             except RuntimeError as error:  # the pool found its process dead
                 cause = error
-                self._throw_away()
+                self._discard()
         raise HeftError(f"a worker process cannot be started: {cause}")
 
-    def left_without_a_word(self) -> bool:
-        """True if the process left with exit code 0 in the middle of its task: another one has taken its place."""
+    def exited_silently(self) -> bool:
+        """True if the process exited with code 0 during its task: the pool has started another one."""
         return self._starts is not None and self._starts.value > 1
 
     def take(self) -> tuple[_Task, Any]:
@@ -153,13 +153,13 @@ class _Worker:
             elif isinstance(error, TimeoutError):
                 ending = _Lost(f"took longer than {self._limits.timeout_s:g} s")
             elif isinstance(error, ProcessExpired):
-                ending = _Lost(f"its worker process {_told(error.exitcode)}")
+                ending = _Lost(f"its worker process {_exit_words(error.exitcode)}")
             elif isinstance(error, BrokenProcessPool):
                 ending = _Lost("its worker process died before the task began")
             else:  # arguments or a value that cannot be sent
                 ending = Failure(f"{type(error).__name__}: {error}", f"{task.function.__name__}: {error!r}\n")
         if isinstance(ending, _Lost):
-            self._throw_away()
+            self._discard()
         return task, ending
 
     def stop(self) -> None:
@@ -178,21 +178,21 @@ class _Worker:
             self._starts = context.RawValue(ctypes.c_int, 0)
             self._pool = ProcessPool(
                 max_workers=1,
-                initializer=_begin,
+                initializer=_set_up,
                 initargs=(os.getpid(), self._limits, self._starts, self._preload),
                 context=context,
             )
         return self._pool
 
-    def _throw_away(self) -> None:
+    def _discard(self) -> None:
         self.stop()
         self.join()
         self._pool = self._starts = None
 
 
-def _begin(parent: int, limits: Limits, starts: Any, preload: Sequence[str]) -> None:
-    """In the worker, first of all."""
-    # Killed with the process that started it, however that ends: nothing may go on writing behind the next run
+def _set_up(parent: int, limits: Limits, starts: Any, preload: Sequence[str]) -> None:
+    """Initialize a worker process."""
+    # SIGKILL at the end of the parent, for whatever reason: no worker may write into the next run
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
@@ -202,7 +202,7 @@ def _begin(parent: int, limits: Limits, starts: Any, preload: Sequence[str]) -> 
         importlib.import_module(module)
 
 
-def _told(exitcode: int) -> str:
+def _exit_words(exitcode: int) -> str:
     if exitcode >= 0:
         return f"exited with code {exitcode}"
     name = signal.Signals(-exitcode).name if -exitcode in {*signal.Signals} else f"signal {-exitcode}"
@@ -211,8 +211,8 @@ def _told(exitcode: int) -> str:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Ctrl-C waits, and a process started meanwhile never hears it: stopping is up to the one that started it."""
-    resource_tracker.ensure_running()  # else its start would let Ctrl-C through again
+    """Block SIGINT: a process started within inherits the mask, and its parent stops it."""
+    resource_tracker.ensure_running()  # else its start would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -18,15 +18,13 @@ from scenarios.execution.executor import Failure, Limits, call, given_back, set_
 from testbed.errors import HeftError
 
 _IN_FLIGHT = 3
-"""Tasks handed to the cluster for each of its CPUs: enough to hide the way there, few enough for flat memory."""
+"""Tasks in flight for each CPU of the cluster: enough to hide latency, few enough to bound memory."""
 _GRACE_S = 10.0
-"""Time that a task that is too slow has to end by itself [s]."""
-
-
+"""Time from the interrupt of a hung task to the exit of its process [s]."""
 ADDRESS = "RAY_ADDRESS"
 """Environment variable with the address of a cluster to join."""
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""Ray's switch between loopback and all interfaces, in spite of its name on Linux too."""
+"""Ray's switch between loopback and all interfaces, on Linux too despite its name."""
 
 
 class RayExecutor:
@@ -49,14 +47,14 @@ class RayExecutor:
                     raise HeftError(f"{ADDRESS}: got {address!r}, {why}") from None
             else:
                 self._start(max(workers, 1), quiet)
-        # A task lost with its worker or its machine is begun again by Ray, somewhere else
+        # Ray restarts a task that was lost with its worker or its machine
         self._run = self._ray.remote(num_cpus=1, max_retries=limits.tries - 1)(_run)
         self._labels: dict[Any, Any] = {}
 
     def _start(self, workers: int, quiet: dict[str, Any]) -> None:
-        """Start a cluster of its own on the loopback interface: who reaches a cluster's ports runs code there."""
+        """Start a cluster on the loopback interface: anyone who reaches its ports can run code."""
         constants: Any = importlib.import_module("ray._private.ray_constants")
-        constants.ENABLE_RAY_CLUSTER = False  # where Ray was imported before the switch was set
+        constants.ENABLE_RAY_CLUSTER = False  # Ray may have been imported before the switch was set
         self._ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
         if not (at := self._ray.util.get_node_ip_address()).startswith("127."):
             self._ray.shutdown()
@@ -73,20 +71,20 @@ class RayExecutor:
 
     @property
     def capacity(self) -> int:
-        """A few tasks for every CPU there is now; machines come and go."""
+        """A few tasks for every present CPU; machines may join and leave."""
         return _IN_FLIGHT * max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
 
     @property
     def running(self) -> int:
-        """Tasks started and not yet given back."""
+        """Number of tasks whose values have not returned."""
         return len(self._labels)
 
     def start(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Hand a task to the cluster."""
+        """Send a task to the cluster."""
         self._labels[self._run.remote(self._limits, sys.path, function, *arguments)] = label
 
     def wait(self) -> tuple[Any, Any]:
-        """The label and the value, or `Failure`, of a task that has ended."""
+        """Label and value, or `Failure`, of a task that has ended."""
         (task, *_), _ = self._ray.wait(list(self._labels), num_returns=1)
         label = self._labels.pop(task)
         try:
@@ -102,10 +100,10 @@ class RayExecutor:
         return given_back(label, value)
 
     def _check_cluster(self, error: Exception) -> None:
-        """Raise HeftError where no machine of the cluster is left: that is no fault of the task's."""
+        """Raise HeftError if no machine of the cluster is left, which is no failure of the task."""
         try:
             left = any(node["Alive"] for node in self._ray.nodes())
-        except Exception:  # whatever Ray raises where its head is gone
+        except Exception:  # Ray raises errors of several types without its head node
             left = False
         if not left:
             self._labels.clear()
@@ -119,7 +117,7 @@ class RayExecutor:
 def _import_ray() -> Any:
     if not os.environ.get(ADDRESS):
         os.environ.setdefault(_LOOPBACK, "0")  # its processes read it too
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would send usage data
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage data are sent
     try:
         return importlib.import_module("ray")
     except ImportError:
@@ -127,17 +125,17 @@ def _import_ray() -> Any:
 
 
 class _TooSlow(BaseException):
-    """Raised in the middle of a task; no Exception, so that no method swallows it."""
+    """Interrupt of a task; not an Exception, so that no method catches it."""
 
 
-def _run(limits: Limits, places: list[str], function: Callable[..., Any], *arguments: Any) -> Any:
-    """On a worker of the cluster: the task, with an end to it; it finds modules where the one that asks finds them."""
+def _run(limits: Limits, paths: list[str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """Run a task on a worker of the cluster within its time limit, with the caller's module paths."""
     _set_up_once(limits)
-    sys.path.extend(place for place in places if place not in sys.path)
+    sys.path.extend(path for path in paths if path not in sys.path)
     before = signal.signal(signal.SIGALRM, _stop)
     try:
         signal.setitimer(signal.ITIMER_REAL, limits.timeout_s)
-        faulthandler.dump_traceback_later(limits.timeout_s + _GRACE_S, exit=True)  # hung outside Python
+        faulthandler.dump_traceback_later(limits.timeout_s + _GRACE_S, exit=True)  # for hangs outside Python
         return call(function, *arguments)
     except _TooSlow:
         return Failure(f"took longer than {limits.timeout_s:g} s", traceback.format_exc())

@@ -182,7 +182,7 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
         angles, rest = np.array(trajectory.joint_position[i], order="C"), np.empty(0)
         return make("sensor_msgs/JointState", header(stamps[i], ""), list(JOINTS), angles, rest, rest)
 
-    def seen(time: list[int], poses: np.ndarray) -> _Message:
+    def camera_pose(time: list[int], poses: np.ndarray) -> _Message:
         def of(i: int) -> Any:
             x, y, yaw = poses[i].tolist()
             turn = make("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
@@ -207,7 +207,7 @@ def _topics(trajectory: Trajectory, make: Callable[..., Any]) -> Iterator[tuple[
         poses = camera.poses[:, part]
         kept = ~np.isnan(poses[:, 0]) & (camera.time_s >= trajectory.time_s[0])
         time = _stamps(trajectory, camera.time_s[kept])
-        yield _PART.format(part), pose, seen(time, poses[kept]), time
+        yield _PART.format(part), pose, camera_pose(time, poses[kept]), time
 
 
 def _stamps(trajectory: Trajectory, time: np.ndarray) -> list[int]:
@@ -253,7 +253,7 @@ def _camera_map(camera: PoseStream) -> dict[str, Any]:
 
 
 def _windows(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Stretches of one phase, that end halfway between two samples."""
+    """Windows of one phase each, with ends halfway between two samples."""
     time, phase = trajectory.time_s - trajectory.time_s[0], trajectory.phase
     changes = np.flatnonzero(np.diff(phase) | np.diff(trajectory.segment)) + 1
     first, middle = np.append(0, changes), (time[changes - 1] + time[changes]) / 2

@@ -1,4 +1,4 @@
-"""Diagnosis of trials that disagree: the support first, then a single trial, then the errors of the setup."""
+"""Diagnosis of trials that disagree: the support, then single trials, then errors of the setup."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import LIKELY, PARAMETERS, SetupErrors
 
 WIDER = 3.0
-"""Multiple of its stated size at which an error is tried as the cause. Ours."""
+"""Factor on the stated size of an error at which it is tried as the cause. Ours."""
 DECISIVE = 3.0
-"""Decimal logarithm of the odds from which a cause is named: the simulation's own flaws reach 2. Ours."""
-WIDTHS = tuple(np.logspace(-3, 3, 241).tolist())
-"""Sizes of an error that are held against each other, as multiples of that stated; each 6 % over the last. Ours."""
-ABSURD = 4.0
-"""Multiple of the size that is tried above which a cause is not named: another one is hidden behind it. Ours."""
+"""Decimal logarithm of the odds above which a cause is named: errors of the simulation itself reach 2. Ours."""
+SIZE_FACTORS = tuple(np.logspace(-3, 3, 241).tolist())
+"""Candidate sizes of an error, as factors on the stated size, in steps of 6 %. Ours."""
+MAX_FACTOR = 4.0
+"""Factor on the tried size above which a cause is not named: another cause is behind it. Ours."""
 
 
 @dataclass(frozen=True)
@@ -36,40 +36,40 @@ class Cause:
 
     name: str
     odds: float
-    """Decimal logarithm of the odds of its being as large as tried, over its being as stated."""
+    """Decimal logarithm of the odds of the tried size over the stated size."""
     size: float
-    """Standard deviation of its values that makes the measurements likeliest, in the unit of its `Parameter`."""
+    """Most likely standard deviation of its values, in the unit of its `Parameter`."""
     absurd: bool
-    """True if it would have to be far larger than such errors are."""
+    """True if its most likely size is far above the tried one."""
 
     @property
     def formatted(self) -> str:
-        """Size in words, such as "2.1 mm"."""
+        """Size with its unit, such as "2.1 mm"."""
         return CAUSES[self.name].formatted(self.size)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Diagnosis of the trials of an object: their misfit, and what would explain it."""
+    """Misfit of the trials of an object, and its likely causes."""
 
     misfit: Misfit
     """Misfit on own weight, or of one rigid body where the object can only be that."""
     trials: dict[int, float]
-    """Misfit of each trial, by its place among those given."""
+    """Misfit of each trial, by its index among the trajectories."""
     causes: tuple[Cause, ...]
-    """Errors of the setup, likeliest first."""
+    """Errors of the setup, most likely first."""
     part: Part | None = None
-    """Least plausible part of the misfit that is no trial's, if it is implausible."""
+    """Least plausible part of the misfit other than a trial's rows; None if no part is implausible."""
     support: SupportTest | None = None
-    """Test that finds another support than own weight, which explains the trials."""
+    """Support test, where a support other than own weight explains the trials."""
     odd_trial: int | None = None
-    """Trial without which the others agree, where all together do not."""
+    """Index of the trial without which the others agree; None where all agree or no single trial explains it."""
     without: float = math.inf
     """Misfit without that trial."""
 
     @property
     def named(self) -> list[Cause]:
-        """Causes that are likely enough to be named."""
+        """Causes of odds above `DECISIVE` and of a usual size."""
         return [cause for cause in self.causes if cause.odds > DECISIVE and not cause.absurd]
 
     @property
@@ -85,7 +85,7 @@ class Diagnosis:
 
     @property
     def _reason(self) -> str:
-        """Why the trials do not agree."""
+        """Reason for which the trials do not agree."""
         if self.support is not None:
             return f"{self.support.sentence}: ask support_aware"
         if self.odd_trial is not None:
@@ -113,7 +113,7 @@ def diagnose(
         shape: geometry and groups.
         weight: M as weighed, kg.
         trajectories: trials of one object.
-        progress: receives how many fits of those that may be needed are done.
+        progress: called with the number of completed fits and the largest number of fits.
     """
     most = len(trajectories) + len(PARAMETERS) + 1
     steps = iter(range(1, most + 1))
@@ -140,13 +140,13 @@ def diagnose(
         test = support_test(shape, weight, trajectories, found, rigid)
         if test.shared or (test.kind == "rigid" and rigid.explained.explains):
             return replace(diagnosis, support=test)
-    diagnosis = _without_one(diagnosis, shape, weight, trajectories, support, fitted)
+    diagnosis = _with_odd_trial(diagnosis, shape, weight, trajectories, support, fitted)
     if diagnosis.odd_trial is not None:
         return diagnosis
-    return replace(diagnosis, causes=_one_by_one(found, shape, weight, trajectories, support, fitted))
+    return replace(diagnosis, causes=_ranked_causes(found, shape, weight, trajectories, support, fitted))
 
 
-def _without_one(
+def _with_odd_trial(
     diagnosis: Diagnosis,
     shape: ObjectShape,
     weight: float,
@@ -154,23 +154,23 @@ def _without_one(
     support: SupportModel,
     fitted: Callable[[], None],
 ) -> Diagnosis:
-    """Diagnosis with the one trial without which all others agree, if there is one and no other would do."""
+    """Diagnosis with the odd trial, if the others agree without exactly one trial."""
     if diagnosis.misfit.explains:
         return diagnosis
-    healed = dict[int, float]()
+    agreeing = dict[int, float]()
     for trial in diagnosis.trials:
         others = [each for place, each in enumerate(trajectories) if place != trial]
-        left = posterior_of(shape, weight, others, support)
+        rest = posterior_of(shape, weight, others, support)
         fitted()
-        if left is not None and left.explained.by_chance:
-            healed[trial] = left.explained.value
-    if len(healed) != 1:
+        if rest is not None and rest.explained.by_chance:
+            agreeing[trial] = rest.explained.value
+    if len(agreeing) != 1:
         return diagnosis
-    ((trial, value),) = healed.items()
+    ((trial, value),) = agreeing.items()
     return replace(diagnosis, odd_trial=trial, without=value)
 
 
-def _one_by_one(
+def _ranked_causes(
     found: Posterior,
     shape: ObjectShape,
     weight: float,
@@ -178,7 +178,7 @@ def _one_by_one(
     support: SupportModel,
     fitted: Callable[[], None],
 ) -> tuple[Cause, ...]:
-    """Errors of the setup, each alone larger than stated, by the odds over all being as stated."""
+    """Causes by a fit each, with one error of the setup larger than stated; the highest odds first."""
     stated, causes = SetupErrors.largest([trial.setup for trial in trajectories]), []
     for name in PARAMETERS:
         tried = max(WIDER * getattr(stated, name), getattr(LIKELY, name))
@@ -186,64 +186,64 @@ def _one_by_one(
             tried = stated.contact_points / WIDER  # fewer points are a larger error
         if not tried:
             continue
-        wider = replace(stated, **{name: tried})
-        trials = [replace(trial, setup=wider) for trial in trajectories]
+        enlarged = replace(stated, **{name: tried})
+        trials = [replace(trial, setup=enlarged) for trial in trajectories]
         larger = posterior_of(shape, weight, trials, support)
         fitted()
         if larger is None or name not in larger.unknowns.blocks:
             continue
-        causes.append(_cause(_Seen.of(larger, name, wider), larger.log_evidence - found.log_evidence))
+        causes.append(_cause(_Evidence.of(larger, name, enlarged), larger.log_evidence - found.log_evidence))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
 
 def larger_than_stated(posterior: Posterior, setup: SetupErrors) -> tuple[Cause, ...]:
-    """Stated errors by the odds of each being `WIDER` times as large, all others being as in the posterior.
+    """Causes by the odds of each stated error being `WIDER` times as large, the others as in the posterior.
 
-    The likelihood is taken as normal about the most likely unknowns.
+    The likelihood is approximated by a normal one about the most likely unknowns.
     """
     causes = []
     for name in PARAMETERS:
         if name in posterior.unknowns.blocks:
-            seen = _Seen.of(posterior, name, setup)
-            causes.append(_cause(seen, seen.log_evidence(WIDER) - seen.log_evidence(1.0), WIDER))
+            evidence = _Evidence.of(posterior, name, setup)
+            causes.append(_cause(evidence, evidence.log_evidence(WIDER) - evidence.log_evidence(1.0), WIDER))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """Evidence of the measurements on one error of the setup, all others being as in the posterior."""
+class _Evidence:
+    """Evidence of the measurements on one error of the setup, the others as in the posterior."""
 
     name: str
     unit: float
     """Standard deviation as stated, in the unit of its `Parameter`; 1 pattern of unknown points."""
     precision: Float[Tensor, "m"]
-    """Precision along the axes that the measurements show apart, in units of the prior's."""
+    """Precision of the measurements along its principal axes, in units of the prior's."""
     toward: Float[Tensor, "m"]
-    """Precision times the likeliest value along each axis."""
+    """Precision times the most likely value along each axis."""
 
     @staticmethod
-    def of(posterior: Posterior, name: str, setup: SetupErrors) -> _Seen:
-        """Share of a posterior, of trials in a setup, that is one error's."""
+    def of(posterior: Posterior, name: str, setup: SetupErrors) -> _Evidence:
+        """Evidence of a posterior on an error, by name; `setup` is that of its trials."""
         std, where = posterior.unknowns.blocks[name].std, posterior.unknowns.at[name]
         whole = torch.linalg.inv(posterior.laplace[where, where])
         own = std.flatten() > 0
         value, axes = torch.linalg.eigh((whole - torch.eye(len(whole), dtype=torch.float64))[own][:, own])
         unit = 1.0 if name == "contact_points" else getattr(setup, name)
-        return _Seen(name, unit, value.clamp(min=0), axes.T @ (whole @ posterior.optimum.z[where])[own])
+        return _Evidence(name, unit, value.clamp(min=0), axes.T @ (whole @ posterior.optimum.z[where])[own])
 
-    def log_evidence(self, width: float) -> float:
-        """Logarithm of the evidence for a standard deviation of `width` times that stated, but for a constant."""
-        variance = width**2
+    def log_evidence(self, factor: float) -> float:
+        """Log evidence for a standard deviation of `factor` times that stated, up to a constant."""
+        variance = factor**2
         gained = variance * self.toward.square() / (1 + variance * self.precision)
         return float((gained - torch.log1p(variance * self.precision)).sum()) / 2
 
     @property
     def likeliest(self) -> float:
-        """Likeliest standard deviation, as a multiple of that stated."""
-        return max(WIDTHS, key=self.log_evidence)
+        """Most likely standard deviation, as a factor on that stated."""
+        return max(SIZE_FACTORS, key=self.log_evidence)
 
 
-def _cause(seen: _Seen, log_evidence: float, tried: float = 1.0) -> Cause:
-    """Cause by the evidence for an error `tried` times as large as the prior's."""
-    width = seen.likeliest
-    return Cause(seen.name, log_evidence / math.log(10), width * seen.unit, width > ABSURD * tried)
+def _cause(evidence: _Evidence, log_odds: float, tried: float = 1.0) -> Cause:
+    """Cause by its natural log odds; `tried` is the tried size over the prior's."""
+    factor = evidence.likeliest
+    return Cause(evidence.name, log_odds / math.log(10), factor * evidence.unit, factor > MAX_FACTOR * tried)

@@ -1,4 +1,4 @@
-"""Joint posterior as an estimator: masses and frictions with every error of the setup estimated beside them."""
+"""Joint posterior as an estimator of masses, frictions and every error of the setup."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import SetupErrors
 
 PLAUSIBLE = 0.01, 2.0
-"""Frictions from which a search starts."""
+"""Least and greatest friction at which a search starts."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Bayes:
     support: JoinedSupport = "own_weight"
     """Assumed support: own_weight, rigid, or springs of unknown stiffness between the groups."""
     unknown_bias: bool = False
-    """True takes the bias that the tare leaves as unknown, whatever the sensor states."""
+    """True takes the bias that the tare leaves as unknown, instead of as stated by the sensor."""
 
     def __post_init__(self) -> None:
         if self.support not in ASSUMPTION:
@@ -93,11 +93,11 @@ def posterior_of(
         weight: M as weighed, kg.
         trajectories: slides, turns, accelerated turns, pushes and lifts; all others are left out.
         support: support model on the table.
-        unknown_bias: True takes the bias that the tare leaves as unknown, whatever the sensor states.
+        unknown_bias: as in `Bayes`.
         errors: errors of the model, those of the support if left out.
         near: posterior from which the search starts: of the same trials under another support or other errors.
         rigid_share: share of springs, as in `Springs.joined`, from which the search starts.
-        at: masses and frictions that are taken as known; the nuisances alone are estimated.
+        at: masses and frictions taken as known; only the nuisances are then estimated.
 
     Raises:
         InvalidValueError: no weight, or a grasp that the shape does not have.
@@ -132,9 +132,10 @@ def _on_table(
     errors: ModelErrors,
     unknown_bias: bool,
 ) -> OnTable | None:
-    """Trials on the table; None without any at constant speed. Every method's misfit asks for those of the same.
+    """Measurement of the trials on the table; None without any at constant speed.
 
-    The setup of the lifts, `in_air`, is theirs too.
+    Cached, since the misfit of every method needs that of the same trials. `in_air` are the setups of the lifts, whose
+    errors the trials on the table share.
     """
     windows = observe(shape, trajectories, errors)
     if windows is None or bool(windows.accelerated.all()):

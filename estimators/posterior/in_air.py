@@ -21,7 +21,7 @@ from testbed.sensing.lift_windows import LiftWindow
 from testbed.worlds.setup_errors import PARAMETERS
 
 SHARED = {name for name, each in PARAMETERS.items() if {"air", "reading"} & set(each.shows) and each.scope != "trial"}
-"""Errors of the setup that change these measurements in all trials alike."""
+"""Unknowns that these measurements share with other trials: errors of the setup, and the masses."""
 SHARED |= {"mass"}
 
 
@@ -31,18 +31,18 @@ class InAir:
 
     shape: ObjectShape
     trial: int
-    """Place of the lift among the trajectories."""
+    """Index of the lift among the trajectories."""
     windows: Sequence[LiftWindow]
     air: Air
     own: Theta
     """Standard deviations of the errors of this trial alone, by name."""
     errors: LiftErrors
     weight: float
-    """M or a guess of it, kg: errors are in proportion."""
+    """M or a guess of it, kg; errors are proportional to it."""
 
     @staticmethod
     def of(shape: ObjectShape, trial: int, windows: Sequence[LiftWindow], weight: float) -> InAir:
-        """Windows of one lift, at a place among the trajectories, of an object of about a weight, kg."""
+        """Measurement of one lift by its index among the trajectories; `weight` is M or a guess of it, kg."""
         errors = LiftErrors()
         stated = stated_sizes(windows[0].setup, ("air", "reading"), shape.n_m)
         own = {name: size for name, size in stated.items() if PARAMETERS[name].scope == "trial"}
@@ -58,11 +58,11 @@ class InAir:
 
     @property
     def parts(self) -> list[tuple[str, int, int]]:
-        """All windows together."""
+        """One part: all windows."""
         return [("the wrenches in the air", 6 * len(self.windows), self.trial)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
-        """Residual, derivatives and covariance; the errors of this trial alone are in the last."""
+        """Residual, derivatives and covariance, which contains the errors of this trial alone."""
         theta = unknowns.of(SHARED, z)[0]
         rows, slopes = self.air.linearized(nominal(theta, self.own))
         covariance = lift_covariance(self.shape, self.windows, slopes, self.own, self.errors, self.weight)
@@ -72,10 +72,10 @@ class InAir:
             shared = {name: slope for name, slope in slopes.items() if name in theta}
             return unknowns.columns(shared, torch.zeros(len(rows), dtype=torch.int64), z).flatten(0, 1)
 
-        def elsewhere(z: Tensor) -> Tensor:
+        def residual_at(z: Tensor) -> Tensor:
             return self.air.wrenches(unknowns.of(SHARED, z)[0]).flatten() - self.read
 
         def slopes_at(z: Tensor) -> Tensor:
             return columns(self.air.linearized(unknowns.of(SHARED, z)[0])[1], z)
 
-        return Linearized(rows.flatten() - self.read, columns(slopes, z), blocks, elsewhere, slopes_at)
+        return Linearized(rows.flatten() - self.read, columns(slopes, z), blocks, residual_at, slopes_at)

@@ -25,37 +25,38 @@ from testbed.objects.model import ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
 
 MOST_POINTS = 64
-"""Points at which the pattern of contact under a group is taken."""
-ALIKE = 1e-9
-"""Part of their square distances from the middle in which points that are equally far from it differ."""
+"""Largest number of points of a group over which patterns of contact are defined."""
+SAME_DISTANCE = 1e-9
+"""Relative difference of squared distances from the middle up to which points count as equally far from it."""
 WRENCHES = "the wrenches"
 """Name of the rows of a trial."""
 PATTERNS = "contact_points", "foot_load"
 """Errors of the setup that act as patterns of contact: unknown points, or unequal loads on known feet."""
 SHARED = {name for name, each in PARAMETERS.items() if {"table", "reading"} & set(each.shows)}
-"""Errors of the setup that change these measurements."""
+"""Unknowns that change these measurements: errors of the setup, and those below."""
 SHARED |= {"mass", "friction", "com_height", "indeterminate_load", "hinge_friction", "links_carried", "rigid_share"}
 SHARED |= {*PATTERNS, "contact_radius", *MODEL_PARAMETERS}
 LEAST_DRAG, SMALLEST = 0.5, 1e-12
-"""Least drag to which errors of the model are in proportion, over the largest force measured at constant speed; and the
-smallest drag, N. Trials that contradict each other may be fitted best without friction, where no error is left."""
+"""Least drag to which errors of the model are proportional, over the largest force measured at constant speed; and the
+smallest drag, N. Contradictory trials may fit best without friction, where errors would vanish."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactPatterns:
-    """Patterns of load over at most `MOST_POINTS` points of each group, orthonormal.
+    """Orthonormal patterns of load over at most `MOST_POINTS` points of each group.
 
-    The first two are affine, and carry a group off the middle of its points; the others keep its load and moments.
+    All keep the group's load. The first two are affine and move its center off the middle of the points; the others
+    keep its moments too.
     """
 
     of_group: Float[Tensor, "P*C n_m*q"]
-    """Part of its group's load on each point: a column per pattern of each group."""
+    """Load on each point as a part of its group's load: a column per pattern of each group."""
     count: Int[Tensor, "n_m"]
     """Number of points of each group."""
     radial: Float[Tensor, "n_m q"]
-    """Patterns that together change the mean square distance of the load from its middle, and keep its moments.
+    """Combination of the patterns that changes the mean square distance of the load from its middle, moments kept.
 
-    The change is the standard deviation of the square distance over even points.
+    The change is the standard deviation of the square distance over evenly loaded points.
     """
 
     @staticmethod
@@ -66,20 +67,20 @@ class ContactPatterns:
             torch.nonzero(((model.mass_group == g) & model.contact)[:, None].expand(points.shape[:2]))
             for g in range(groups)
         ]
-        taken = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
-        count = torch.tensor([len(at) for at in taken])
+        chosen = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
+        count = torch.tensor([len(at) for at in chosen])
         part = torch.zeros(*points.shape[:2], groups, int(count.max()) - 1, dtype=torch.float64)
         radial = torch.zeros(groups, part.shape[-1], dtype=torch.float64)
-        for group, (particle, point) in enumerate(at.unbind(1) for at in taken):
+        for group, (particle, point) in enumerate(at.unbind(1) for at in chosen):
             if len(point) <= 3:
                 continue
             arm = points[particle, point] - points[particle, point].mean(0)
-            ways = torch.linalg.qr(torch.cat([torch.ones_like(arm[:, :1]), arm], 1), mode="complete")[0][:, 1:]
-            part[particle, point, group, : ways.shape[1]] = ways
+            patterns = torch.linalg.qr(torch.cat([torch.ones_like(arm[:, :1]), arm], 1), mode="complete")[0][:, 1:]
+            part[particle, point, group, : patterns.shape[1]] = patterns
             square = arm.square().sum(1)
-            outward = ways[:, 2:].T @ square
-            if outward.norm() > ALIKE * square.norm():
-                radial[group, 2 : ways.shape[1]] = outward / outward.norm() / len(point) ** 0.5
+            outward = patterns[:, 2:].T @ square
+            if outward.norm() > SAME_DISTANCE * square.norm():
+                radial[group, 2 : patterns.shape[1]] = outward / outward.norm() / len(point) ** 0.5
         return ContactPatterns(part.flatten(2).flatten(0, 1), count, radial)
 
 
@@ -90,15 +91,15 @@ class OnTable:
     shape: ObjectShape
     windows: Observations
     table: Table
-    """Forward model, with the fields of support and sensor in its windows."""
+    """Forward model over half of the parts of each window, with the fields of support and sensor."""
     whole: Table
-    """Forward model of all parts of the windows."""
+    """Forward model over all parts of the windows."""
     patterns: ContactPatterns
     errors: ModelErrors
     alone: bool = False
-    """True if each trial is counted by itself: all have the place of one among errors that are drawn anew in each."""
+    """True if every trial counts as the only one: all share one set of the errors that are drawn in each trial."""
     _last: list[tuple[Tensor, TableErrors]] = field(default_factory=list, init=False, repr=False)
-    """Masses and frictions of which errors were asked for last, and these errors."""
+    """Cache of the last errors, with their frictions and masses."""
 
     @staticmethod
     def of(shape: ObjectShape, windows: Observations, support: str, errors: ModelErrors) -> OnTable:
@@ -118,7 +119,7 @@ class OnTable:
             "tool_tilt": windows.tool_tilt,
         }
         if windows.articulated:
-            fields["beside"] = _beside(model, table, windows)
+            fields["beside"] = _moment_beyond_tare(model, table, windows)
         # links turn within a window, a rigid object hardly does
         parts = table.windows if windows.articulated else _halved(table.windows)
         fewer = Table(model, table.points, parts | fields, table.pivot_error)
@@ -131,7 +132,7 @@ class OnTable:
 
     @cached_property
     def read(self) -> Float[Tensor, "K 6+H"]:
-        """Wrench about the TCP as the sensor shows it, N and N m; 0 of each hinge, where no sensor is."""
+        """Measured wrench about the TCP, N and N m, and 0 for each hinge, which has no sensor."""
         read = (self.windows.from_sensor @ self.windows.sensed[..., None])[..., 0]
         return pad(read, (0, self.windows.hinges))
 
@@ -141,7 +142,12 @@ class OnTable:
         return int(self._trial.max()) + 1
 
     def predicting(self, theta: Theta, own: Theta | None = None) -> OnTable:
-        """Windows that show what the forward model predicts of unknowns that all share, and of those of each."""
+        """Windows whose readings are the predictions of the forward model.
+
+        Args:
+            theta: unknowns that all windows share.
+            own: unknowns with a value per window.
+        """
         own = own or {}
         predict = vmap(lambda own, window: self.wrench(theta | own, window), chunk_size=self.table.chunk)
         wrench = predict(own, self._windows(theta))
@@ -152,34 +158,34 @@ class OnTable:
         return replace(planned, windows=replace(planned.windows, sensed=sensed))
 
     def with_load(self, part: float) -> OnTable:
-        """Windows with the gripper's load a part of the stated size."""
+        """Windows with the stated size of the gripper's load scaled by `part`."""
         windows = self.windows
         sizes = {"load_size": part * windows.load_size, "load_change": part * windows.load_change}
         return replace(self, windows=replace(windows, **sizes))
 
     @cached_property
     def middles(self) -> Table:
-        """Forward model with every particle on its middle: errors of the motion act on feet, each at one place."""
+        """Forward model with contact at the middle of every particle, for the errors of the motion."""
         return self.windows.table(self.table.model, self.errors.pivot_error, spread=False)
 
     @cached_property
     def inertial_rows(self) -> Float[Tensor, "K 6+H n_m"]:
-        """Derivatives of the rows in particle masses that the motion takes, friction apart; they act at half height."""
+        """Derivatives of the rows in particle masses by inertia alone, which acts at half the object's height."""
         height = self.windows.load_map[:, 1, 0] - self.shape.height / 2
         planar = pad(self.table.inertial_rows() @ self.table.model.parts.T, (0, 0, 0, self.windows.hinges))
         return rows_of_planar(height, self.windows.hinges) @ planar
 
     @property
     def parts(self) -> list[tuple[str, int, int]]:
-        """Every trial, in its order: windows of a trial follow each other."""
+        """One part a trial, in order; the windows of a trial are consecutive."""
         trials, count = torch.unique_consecutive(self.windows.trial, return_counts=True)
         rows = 6 + self.windows.hinges
         return [(WRENCHES, rows * n, t) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
-        """Residual, derivatives and covariance; the gripper's load, in which the rows are linear, is in the last.
+        """Residual, derivatives and covariance, which contains the gripper's load, in which the rows are linear.
 
-        Derivatives are taken at the likely load.
+        Derivatives are those at the most likely load.
         """
         return self._linearized(unknowns, z, {})[0]
 
@@ -189,11 +195,11 @@ class OnTable:
         return found, slopes["drag"]
 
     def _linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"], more: Theta) -> tuple[Linearized, Slopes]:
-        """`linearized`, and derivatives in `more`, which no estimate has among its unknowns."""
+        """`linearized`, and derivatives in `more`, quantities that are not among the unknowns."""
         theta, own = self.at(unknowns, z)
         errors = self._errors(theta)
 
-        def elsewhere(z: Tensor) -> Tensor:
+        def residual_at(z: Tensor) -> Tensor:
             theta, own = self.at(unknowns, z)
             rows = vmap(lambda own, window: self.predict(theta | own, window), chunk_size=self.table.chunk)
             return (rows(own, self._windows(theta)) - self.read).flatten()
@@ -211,11 +217,11 @@ class OnTable:
             return unknowns.columns(slopes, self._trial, z).flatten(0, 1), others
 
         found, others = columns(z, more)
-        taken = partial(errors.taken, carried, blocks)
-        return Linearized(off.flatten(), found, blocks, elsewhere, lambda z: columns(z, {})[0], taken), others
+        absorbed = partial(errors.absorbed, carried, blocks)
+        return Linearized(off.flatten(), found, blocks, residual_at, lambda z: columns(z, {})[0], absorbed), others
 
     def _errors(self, theta: Theta) -> TableErrors:
-        """Errors of the rows at some masses and frictions; the last ones are kept."""
+        """Errors of the rows at some masses and frictions; the last result is cached."""
         at = torch.cat([theta["friction"], theta["mass"]])
         if not (self._last and torch.equal(self._last[0][0], at)):
             model = self.table.model
@@ -227,7 +233,7 @@ class OnTable:
         return self._last[0][1]
 
     def _rows(self, theta: Theta, own: Theta) -> tuple[Float[Tensor, "K 6+H"], Float[Tensor, "K 6+H 3"]]:
-        """Rows of a gripper that carries nothing, and their derivatives in its lift and moment."""
+        """Rows of a gripper without load, and their derivatives in its lift and moment."""
         loads = torch.cat([torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)])
 
         def predict(own: Theta, window: Window) -> Tensor:
@@ -237,7 +243,7 @@ class OnTable:
         return found[:, 0], (found[:, 1:] - found[:, :1]).mT
 
     def _windows(self, theta: Theta) -> Window:
-        """Fields of the windows, with the loads that balance leaves open at some masses."""
+        """Fields of the windows, with the statically indeterminate loads at some masses."""
         if "indeterminate_load" not in theta:
             return self.table.windows
         model = self.table.model
@@ -246,12 +252,12 @@ class OnTable:
 
     @cached_property
     def _trial(self) -> Tensor:
-        """Trial of each window, counted from 0."""
+        """Index of each window's trial; 0 for all if each is counted `alone`."""
         trial = torch.unique(self.windows.trial, return_inverse=True)[1]
         return torch.zeros_like(trial) if self.alone else trial
 
     def at(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
-        """Unknowns that all windows share, and those of each window, as of its trial and of the table under it."""
+        """Unknowns that all windows share, and those with a value per window, by its trial or its place."""
         shared, by_trial = unknowns.of(SHARED, z)
         own = {name: value[self._trial] for name, value in by_trial.items()}
         if "place_friction" in shared:
@@ -259,7 +265,7 @@ class OnTable:
         return shared, own
 
     def _slopes(self, theta: Theta, own: Theta) -> Slopes:
-        """Derivatives of the rows, by the chain rule over the planar wrench: it has half as many components."""
+        """Derivatives of the rows, by the chain rule over the planar wrench, which has half as many components."""
 
         def at(theta: Theta, window: Window) -> Theta:
             known = {"carried": window["own carried"]}
@@ -289,7 +295,7 @@ class OnTable:
         return self._at_points(theta, load)
 
     def _at_points(self, theta: Theta, load: Float[Tensor, "P"]) -> Float[Tensor, "P C"]:
-        """Forces of points of contact by those of particles, N."""
+        """Forces of points of contact from those of particles, N."""
         at_points = load[:, None] / self.table.points.shape[1]
         pattern = next((theta[name] for name in PATTERNS if name in theta), None)
         if pattern is None:
@@ -304,7 +310,7 @@ class OnTable:
     def carried(self, theta: Theta, window: Window) -> Float[Tensor, "3"]:
         """Lift and moment of the gripper on the feet, N and N m.
 
-        The hand keeps the tilt in which it was nulled while links move, and may carry what their weights take beyond.
+        While links move the hand keeps the tilt of its tare, and may carry the moment of their weights beyond it.
         """
         carried = theta.get("carried", torch.zeros(3, dtype=torch.float64))
         if "links_carried" not in theta:
@@ -327,10 +333,10 @@ class OnTable:
         return self.table.predict(moved | {"mass": mass, "friction": friction}, window)
 
     def reading(self, theta: Theta, planar: Float[Tensor, "3+H"], window: Window) -> Float[Tensor, "6+H"]:
-        """Wrench about the TCP that the sensor shows of a planar one and of the gripper's load, N and N m."""
+        """Wrench about the TCP that the sensor shows of a planar wrench and the gripper's load, N and N m."""
         carried = self.carried(theta, window)
         height = window["tcp_height"] + theta.get("height", NONE)
-        # the mass acts at half the object's height, or beside it
+        # the mass acts at half the object's height plus its error
         arm = theta["mass"] * (self.shape.height / 2 + theta.get("com_height", NONE))
         moment, tool = window["inertial"] @ arm, torch.zeros(6, dtype=torch.float64)
         if "table_tilt" in theta:
@@ -345,8 +351,8 @@ class OnTable:
         return torch.cat([read, planar[3:]])
 
 
-def _beside(model: ParticleModel, table: Table, windows: Observations) -> Float[Tensor, "K 2 n_m"]:
-    """Moment that the weights of links take beyond what the hand was nulled in, N m per kg of each particle mass."""
+def _moment_beyond_tare(model: ParticleModel, table: Table, windows: Observations) -> Float[Tensor, "K 2 n_m"]:
+    """Moment of the links' weights beyond that at the tare, N m per kg of each particle mass."""
     still = GripperLoad.none(model)
 
     def of(mass: Tensor) -> Tensor:
@@ -359,9 +365,9 @@ def _beside(model: ParticleModel, table: Table, windows: Observations) -> Float[
 
 
 def _halved(windows: Window) -> Window:
-    """Windows of half as many parts, pairs of them averaged: friction hardly changes within one.
+    """Windows of half as many parts, the means of pairs, over which friction hardly changes.
 
-    Those of a planned turn have one part.
+    An odd number of parts, as the one part of a planned turn, is kept.
     """
     parts = windows["rates"].shape[1]
     if parts % 2:

@@ -1,4 +1,4 @@
-"""Posterior of all unknowns: masses and frictions with their errors, the setup's nuisances, and the misfit."""
+"""Posterior of masses, frictions and the nuisances of the setup: estimate, covariance, evidence and misfit."""
 
 from __future__ import annotations
 
@@ -31,27 +31,26 @@ CAUSES = dict(PARAMETERS) | MODEL_PARAMETERS
 """Nuisances, by name."""
 MOST_NUMBERS = 6
 """Numbers of a nuisance up to which each is reported."""
-SEEN = 1e-6
-"""Strength of a direction of the masses, as a part of the strongest, below which it counts as open."""
+OBSERVED = 1e-6
+"""Strength of a direction of the masses, as a part of the strongest, above which it counts as observed."""
 LEAST_SHOWN = 0.02
-"""Least part of the prior's variance that measurements are taken to explain of a nuisance. Below it what they show of
-the inertia of accelerated turns is taken at the optimum, where a wrong weight leaves little; of others, flaws of the
-model count. Ours."""
-DISTANCE = 0.02
-"""Step of z by which the change of a volume is taken."""
+"""Lower bound of the part of a nuisance's prior variance that the measurements explain, against flaws of the model. The
+inertia of accelerated turns has the part at the optimum in its place, which a wrong weight makes small. Ours."""
+STEP = 0.02
+"""Step of z for the finite difference of a volume."""
 LEAST_SHIFT = 0.05
-"""Part of an error up to which a mode stays where the joint one is. Ours."""
+"""Shift of a marginal mode, as a part of the standard error, below which the joint mode is kept. Ours."""
 LEANS = 0.5
-"""Slope of the logarithm of the evidence in that of the groups' lean from which they lean further than level ones.
-Ours, calibrated on objects of seed 4242 of the honesty bench, where it is reached by level blocks in 1 of 300."""
-ALIKE = 4
-"""Number of groups from which trials show a size that all share: that of the smallest objects of that calibration."""
+"""Slope of the log evidence in the logarithm of the groups' lean above which they lean further than level ones. Ours,
+calibrated on objects of seed 4242 of the honesty bench: level blocks reach it in 1 of 300."""
+LEAST_GROUPS = 4
+"""Number of groups above which trials show a size that all share: that of the smallest objects of that calibration."""
 LEAST_LEFT = 0.03
-"""Part of the variance of a trial's rows that the fit is taken to leave at least: where it leaves less, slopes at the
-optimum say little of a fit without them. Ours, by single trials with a wrong grasp, sign or clock."""
+"""Lower bound of the part of the variance of a trial's rows that the fit leaves: below it slopes at the optimum say
+little of a fit without the trial. Ours, by single trials with a wrong grasp, sign or clock."""
 IMPLAUSIBLE = 1e-6
-"""Probability below which a part of a misfit is no chance, many parts being looked at; of the inertia, in which alone a
-wrong weight shows, it is `CHANCE`."""
+"""Probability below which a part of a misfit is not chance, many parts being tested; that of the inertia, the only part
+that shows a wrong weight, is `CHANCE`."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +61,15 @@ class Part:
     value: float
     """Mean square of its rows, or of its z."""
     log_chance: float
-    """Logarithm of the probability of as large a one, under the errors that are stated."""
+    """Log probability of a value as large under the stated errors."""
     trial: int | None = None
-    """Its trial, by its place among the trajectories; of a nuisance, by that among those on the table."""
+    """Index of its trial among the trajectories; of a nuisance, among those on the table."""
     of_rows: bool = False
-    """True for rows."""
+    """True for rows, False for a nuisance."""
 
     @staticmethod
     def of(name: str, values: Float[Tensor, "m"], trial: int | None = None, *, of_rows: bool = False) -> Part:
-        """Part of some whitened values."""
+        """Part that consists of some whitened values."""
         square = float(values.square().sum())
         return Part(name, square / len(values), float(chi2.logsf(square, len(values))), trial, of_rows)
 
@@ -88,7 +87,7 @@ class Part:
 
     @property
     def implausible(self) -> bool:
-        """True if the errors that are stated do not allow it."""
+        """True if the stated errors do not explain it."""
         limit = CHANCE if self.name == "inertia" else IMPLAUSIBLE
         return self.log_chance < math.log(limit) and self.value > UNEXPLAINED
 
@@ -97,14 +96,14 @@ class Part:
 class Posterior:
     """Laplace approximation about the most likely unknowns.
 
-    Frictions are those of `mode`, all else is that of `optimum`. Slopes where nuisances fit the noise show more
-    information than there is, so the information is taken at the masses and frictions found in the nominal setup.
+    Frictions are those of `mode`, all others those of `optimum`. Slopes at nuisances that fit the noise overstate the
+    information, so it is evaluated at the masses and frictions found, in a setup without errors.
     """
 
     unknowns: Unknowns
     """Masses, frictions and nuisances, with their priors."""
     measurements: Sequence[Measurement]
-    """Everything that was measured."""
+    """All measurements."""
     optimum: Optimum
     """Most likely unknowns."""
 
@@ -126,17 +125,17 @@ class Posterior:
 
     @cached_property
     def mode(self) -> Float[Tensor, "n"]:
-        """`optimum.z`, with each friction where its own density is largest, all else marginalized.
+        """`optimum.z` with each friction at the mode of its marginal density.
 
-        At `optimum` the joint density is largest. A friction scales what masses and nuisances change, and with it the
-        volume that the measurements leave to them; the slope of its logarithm moves the mode by up to an error
-        (Laplace's approximation to the marginal density, to first order).
+        `optimum` is the mode of the joint density. A friction scales the effects of masses and nuisances, and with them
+        the volume that the measurements leave to them; the slope of its logarithm moves the mode by up to a standard
+        error (Laplace's approximation to the marginal density, to first order).
         """
         z, own, std = self.optimum.z, torch.zeros_like(self.of_object), self.unknowns.blocks["friction"].std
         own[self.unknowns.at["friction"]] = std > 0
         inside = self.laplace[own][:, own]
         error = inside.diagonal().sqrt()
-        # what the others change is in proportion to friction, so each number that they fit counts once
+        # effects of the others are proportional to friction, so each fitted number counts once
         fitted = (1 - self.laplace.diagonal()[~own]).sum()
         shifted = torch.nonzero(fitted * std[std > 0] * error > LEAST_SHIFT).flatten().tolist()
         if not shifted:
@@ -151,18 +150,18 @@ class Posterior:
         rows, slope = self._rows_at_optimum, torch.zeros_like(error)
         now = volume([row.slopes for row in rows])
         for k in shifted:
-            at = z + DISTANCE * ridge[:, k]
+            at = z + STEP * ridge[:, k]
             there = [found.slopes_at(at) for found in self._at_optimum]
-            slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / DISTANCE
+            slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / STEP
         step = inside @ slope
-        # the slope holds within about an error
+        # the slope holds within about one standard error
         moved = z.clone()
         moved[own] += step / max(float((step / error).abs().amax()), 1.0)
         return moved
 
     @cached_property
     def information(self) -> Float[Tensor, "n n"]:
-        """Information of the measurements in masses and frictions, in their own units, and in z of the nuisances."""
+        """Information of the measurements on masses and frictions in their own units, and on z of the nuisances."""
         slopes = torch.cat([Whitened.of(m.linearized(self.unknowns, self.nominal)).slopes for m in self.measurements])
         return slopes.T @ slopes / (self._unit[:, None] * self._unit)
 
@@ -177,25 +176,25 @@ class Posterior:
 
     @cached_property
     def of_masses_and_frictions(self) -> Float[Tensor, "m m"]:
-        """Information of the measurements in masses and frictions, in their own units, all nuisances marginalized."""
+        """Information of the measurements on masses and frictions in their own units, nuisances marginalized."""
         own = self.of_object
         inner, across = self.information[own][:, own], self.information[own][:, ~own]
         nuisance = self.information[~own][:, ~own]
         root = torch.linalg.cholesky(nuisance + torch.eye(len(nuisance), dtype=torch.float64))
-        seen = torch.linalg.solve_triangular(root, across.T, upper=False)
-        return inner - seen.T @ seen
+        lost = torch.linalg.solve_triangular(root, across.T, upper=False)
+        return inner - lost.T @ lost
 
     @cached_property
     def rows(self) -> Float[Tensor, "m m"]:
         """Whitened derivatives of the measurements in masses and frictions, all nuisances marginalized."""
-        values, ways = torch.linalg.eigh(self.of_masses_and_frictions)
-        return values.clamp(min=0).sqrt()[:, None] * ways.T
+        values, axes = torch.linalg.eigh(self.of_masses_and_frictions)
+        return values.clamp(min=0).sqrt()[:, None] * axes.T
 
     def mass_equations(self) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
-        """Equations of the masses without their prior, all else marginalized, errors widened by the misfit.
+        """Equations of the masses without their prior, all others marginalized, errors widened by the misfit.
 
-        Rows a and values y with a m = y, independent and of unit error, the surest first. r is n_m where every mass is
-        known; under one rigid body it is 4 at most, or 6 with lifts.
+        Rows a and values y with a m = y, independent and of unit error, the most precise first. r is n_m where every
+        mass is observed; under one rigid body it is 4 at most, or 6 with lifts.
         """
         mass, friction = (self.unknowns.at[name] for name in OBJECT)
         both, z = self.of_masses_and_frictions, self.optimum.z / self._unit
@@ -203,15 +202,15 @@ class Posterior:
         inner = both[mass, mass] - onto @ both[friction, mass]
         # at the most likely unknowns the prior balances the measurements
         pull = z[mass] - onto @ z[friction]
-        values, ways = (each.flip(-1) for each in torch.linalg.eigh(inner))
-        seen = values > SEEN**2 * values[0]
-        strength, ways = (values[seen] / self.explained.widening).sqrt(), ways[:, seen]
-        at = ways.T @ self.unknowns.values(self.optimum.z)["mass"] + ways.T @ pull / values[seen]
-        return (strength[:, None] * ways.T).numpy(), (strength * at).numpy()
+        values, axes = (each.flip(-1) for each in torch.linalg.eigh(inner))
+        observed = values > OBSERVED**2 * values[0]
+        strength, axes = (values[observed] / self.explained.widening).sqrt(), axes[:, observed]
+        at = axes.T @ self.unknowns.values(self.optimum.z)["mass"] + axes.T @ pull / values[observed]
+        return (strength[:, None] * axes.T).numpy(), (strength * at).numpy()
 
     @property
     def swung(self) -> bool:
-        """True if a turn accelerates."""
+        """True if any turn is accelerated."""
         return any(bool(each.windows.accelerated.any()) for each in self.measurements if isinstance(each, OnTable))
 
     @property
@@ -229,8 +228,8 @@ class Posterior:
     def parts(self) -> list[Part]:
         """Parts of the misfit, the least plausible first: of every measurement, and of every nuisance.
 
-        A nuisance that is drawn anew in each trial is a part for each. One of a single number is held against the
-        scatter that its estimate has by the prior: where the measurements show little of it, that is far below 1.
+        A nuisance that is drawn in each trial has a part for each. One of a single number is compared with the scatter
+        that its estimate has by the prior: far below 1 where the measurements show little of it.
         """
         found = [
             Part.of(name, self.optimum.residual[rows], trial, of_rows=True) for name, rows, trial in self._measured
@@ -259,11 +258,11 @@ class Posterior:
 
     @property
     def named(self) -> Part:
-        """Part to name where the misfit does not explain the trials.
+        """Part to name where the masses do not explain the trials.
 
-        If the least plausible one is a trial, that trial which all others predict worst: a wrong trial draws the fit
-        to itself, and the residuals of right ones grow. Residuals of a fit without a trial follow from the leverage of
-        its rows (Cook and Weisberg 1982, deletion of cases), at the slopes of the optimum.
+        If the least plausible part is a trial, the trial that all others predict worst: a wrong trial attracts the fit,
+        so that the residuals of right ones grow. Residuals of a fit without a trial follow from the leverage of its
+        rows (Cook and Weisberg 1982, deletion of cases), at the slopes of the optimum.
         """
         worst = self.parts[0]
         if not worst.of_rows or worst.trial is None:
@@ -273,14 +272,14 @@ class Posterior:
 
         def without(part: Part) -> float:
             rows = rows_of[part.trial]
-            leverage, ways = torch.linalg.eigh(slopes[rows] @ self.laplace @ slopes[rows].T)
-            return float(((ways.T @ residual[rows]).square() / (1 - leverage).clamp(min=LEAST_LEFT)).mean())
+            leverage, axes = torch.linalg.eigh(slopes[rows] @ self.laplace @ slopes[rows].T)
+            return float(((axes.T @ residual[rows]).square() / (1 - leverage).clamp(min=LEAST_LEFT)).mean())
 
         return max((part for part in self.parts if part.of_rows and part.trial is not None), key=without)
 
     @property
     def explained(self) -> Misfit:
-        """Misfit of all rows, or of the least plausible part: one may be far off where many others fit."""
+        """Misfit of all rows, or of the least plausible part if it is implausible."""
         worst = self.parts[0]
         if not worst.implausible:
             return Misfit(self.misfit, self.freedom)
@@ -288,7 +287,7 @@ class Posterior:
         return Misfit(max(self.misfit, worst.value), self.freedom, inertia)
 
     def without_prior(self, name: str) -> float:
-        """Value of a nuisance of one number as the measurements alone have it, in its own unit."""
+        """Value of a nuisance of one number by the measurements alone, without its prior, in its own unit."""
         where, block = self.unknowns.at[name], self.unknowns.blocks[name]
         precision = 1 / self.laplace[where, where]
         return float(block.std * self._settled[where] * precision / (precision - 1))
@@ -319,13 +318,13 @@ class Posterior:
 
     @cached_property
     def _settled(self) -> Float[Tensor, "n"]:
-        """z one step beyond the optimum: what the search leaves counts where measurements show little of a number."""
+        """z one step beyond the optimum: the rest of the search matters where measurements show little of a number."""
         residual, slopes = joined(self._rows_at_optimum)
         return self.optimum.z - self.laplace @ (slopes.T @ residual + self.optimum.z)
 
     @property
     def _log_determinant(self) -> float:
-        """Logarithm of the determinant of all rows' covariance."""
+        """Log determinant of the covariance of all rows."""
         return float(sum(torch.linalg.slogdet(block)[1].sum() for at in self._at_optimum for _, block in at.blocks))
 
     @property
@@ -340,27 +339,27 @@ class Posterior:
 
     @cached_property
     def log_evidence_to_scale(self) -> float:
-        """`log_evidence` where the errors of the rows are stated up to a common factor, which the rows show.
+        """`log_evidence` with errors of the rows stated up to a common factor, which the rows determine.
 
-        Stated errors that are too large would hide by how much one model fits better than another.
+        Stated errors that are too large would hide how much better one model fits than another.
         """
         square = self.optimum.residual.square().sum().clamp(min=SMALLEST)
-        free = max(len(self.optimum.residual) - sum(found.taken() for found in self._at_optimum), 1.0)
+        free = max(len(self.optimum.residual) - sum(found.absorbed() for found in self._at_optimum), 1.0)
         factor = square / free
         known = torch.linalg.eigvalsh(self._precision) - 1  # of the rows, without the prior
         volume = torch.log1p(known.clamp(min=0) / factor).sum()
         return -float(free * factor.log() + self.optimum.z.square().sum() + volume + self._log_determinant) / 2
 
     def leaning(self) -> Posterior:
-        """Posterior with groups that may stand further off their middles, where the trials show that they do.
+        """Posterior with a wider prior of the groups' lean, where the trials show that they stand off their middles.
 
-        Blocks made alike stand alike, so how far they lean is a size that all share. It is taken as larger where the
-        slope of the evidence in its logarithm says so (MacKay 1992, evidence approximation); else this is the
-        posterior.
+        Blocks of one make stand alike, so the size of their lean is common to all. It is larger where the slope of the
+        log evidence in its logarithm exceeds `LEANS` (MacKay 1992, evidence approximation); else this posterior is
+        returned.
         """
         leans, unknowns = unlevel(self.unknowns)
         shown = (1 - self.covariance.diagonal()[leans]).sum()
-        if leans.sum() < 2 * ALIKE or self.optimum.z[leans].square().sum() - shown < LEANS:
+        if leans.sum() < 2 * LEAST_GROUPS or self.optimum.z[leans].square().sum() - shown < LEANS:
             return self
         start = unknowns.start(**self.unknowns.values(self.optimum.z))
         return Posterior(unknowns, self.measurements, solve(self.measurements, unknowns, start))
@@ -381,7 +380,7 @@ class Posterior:
         return torch.linalg.inv(self.information + prior.diag())
 
     def estimate(self, shape: ObjectShape) -> Estimate:
-        """Masses and frictions as an answer, its status by the misfit and by the directions that are open."""
+        """Estimate of masses and frictions, its status by the misfit and the unobserved directions."""
         values, mass = self.unknowns.values(self.mode), self.unknowns.at["mass"]
         at = MassDistribution(values["mass"].numpy(), values["friction"].numpy())
         report = identifiability(shape, at, self.rows.numpy())
@@ -413,7 +412,7 @@ class Posterior:
         )
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:
-        """Most likely values of a block and their standard deviations, in the block's unit, each in its shape."""
+        """Most likely values of a block and their standard deviations, in the block's unit and shape."""
         block, where = self.unknowns.blocks[name], self.unknowns.at[name]
         std = self.covariance.diagonal()[where].clamp(min=0).sqrt()
         scale = 1.0 if name in OBJECT else block.std.flatten()
@@ -423,9 +422,9 @@ class Posterior:
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
 
-        Log-normal, of the means and variances found, errors widened by the misfit and with their correlations, then
-        scaled to a draw of M: where masses are hardly known, logarithms alone would lose the weighing. Several
-        frictions are scaled too, so that each drag stays; a single one is known by M itself.
+        Log-normal with the means and covariance found, widened by the misfit, then scaled to a draw of M: where masses
+        are hardly known, logarithms alone would lose the weighing. Several frictions are scaled too, which keeps each
+        drag; a single friction is known by M itself.
         """
         own, rng = self.of_object, np.random.default_rng(seed)
         covariance = (self.covariance[own][:, own] * self.explained.widening).numpy()
@@ -441,9 +440,9 @@ class Posterior:
         return mass * scale, friction / scale if shape.n_mu > 1 else friction
 
     def nuisances(self) -> dict[str, float]:
-        """Values of the nuisances with their standard deviations, SI units; of those of few numbers, each by its name.
+        """Values and standard deviations, SI units, of the nuisances of at most `MOST_NUMBERS` numbers, by name.
 
-        One that is drawn anew in each trial has the trial first, as in `grasp_offset_0_1`: trial 0, along y.
+        The name of one that is drawn in each trial has the trial first, as in `grasp_offset_0_1`: trial 0, along y.
         """
         found: dict[str, float] = {}
         for name, block in self.unknowns.blocks.items():
@@ -458,7 +457,7 @@ class Posterior:
         return found
 
     def _hinges(self, widening: float) -> tuple[dict[str, float], str]:
-        """Friction of every hinge that turns, with its error, N m; and the others, in words."""
+        """Friction of every hinge that turns, with its error, N m; and a message that names the others."""
         if "hinge_friction" not in self.unknowns.blocks:
             return {}, ""
         torque, std = self.of("hinge_friction")

@@ -23,15 +23,17 @@ MASS_STD, FRICTION_STD = 1.2, 1.0
 FRICTION = 0.4
 """Median friction. Ours."""
 SHARES = 2.0
-"""Sum of squared shares of the load of n points, times n: 1 if all carry the same. Ours, of three to eight, uneven."""
+"""Sum of squared shares of the load of n points, times n: 1 for equal shares. Ours, for three to eight points."""
 LEAN = 0.25
-"""Affine part of a pattern of unknown points, which carries a group off their middle, as a part of any other. Ours."""
+"""Size of the affine patterns of unknown points, which move a group off their middle, over that of the other patterns.
+Ours."""
 UNLEVEL = 0.6
 """`LEAN` of groups that the trials show off their middles. Ours, calibrated on objects of seed 4242 of the honesty
 bench."""
 RADIUS = 1.5
-"""Standard deviation of `ContactPatterns.radial` that all groups share: blocks made alike touch alike, in the middle
-(-1.6) or at the corners (2.3). Ours, calibrated on objects of seed 4242 of the honesty bench."""
+"""Standard deviation of the amplitude of `ContactPatterns.radial`, which all groups share: blocks of one make touch the
+table alike, in the middle (-1.6) or at the corners (2.3). Ours, calibrated on objects of seed 4242 of the honesty
+bench."""
 
 
 def priors(
@@ -50,12 +52,12 @@ def priors(
     typical, model = weight / float(shape.particles_per_group.sum()), ParticleModel.of(shape)
     blocks = {
         "mass": Block.log_normal(typical * np.exp(-0.5), MASS_STD, shape.n_m),
-        # masses that change with the inverse of several frictions leave the loads that trials show as they are
+        # masses that change with the inverse of several frictions keep the friction loads that trials show
         "friction": Block.log_normal(FRICTION, FRICTION_STD, shape.n_mu, inverse=shape.n_mu > 1),
     }
     pattern, uneven = unevenness(setup, model)
     if uneven:
-        # the variance of a pattern over n points, of which as many as the points of the model are taken
+        # the variance of a pattern over n points, spread over the points of the model
         patterns = ContactPatterns.of(model, model.points(spread=True))
         size = (uneven / patterns.count.clamp(min=1)).sqrt()[:, None].repeat(1, patterns.radial.shape[-1])
         size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
@@ -80,7 +82,7 @@ def priors(
 
 
 def unlevel(unknowns: Unknowns) -> tuple[Bool[Tensor, "n"], Unknowns]:
-    """Entries of z by which unknown points carry the groups off their middles, and unknowns that lean by `UNLEVEL`."""
+    """Mask of the affine patterns of unknown points in z, and unknowns in which they have the size `UNLEVEL`."""
     leans = torch.zeros(len(unknowns), dtype=torch.bool)
     if "contact_points" not in unknowns.blocks:
         return leans, unknowns
@@ -88,18 +90,18 @@ def unlevel(unknowns: Unknowns) -> tuple[Bool[Tensor, "n"], Unknowns]:
     affine = torch.zeros_like(block.std, dtype=torch.bool)
     affine[:, :2] = block.std[:, :2] > 0
     leans[where] = affine.flatten()
-    wider = replace(block, std=torch.where(affine, block.std * UNLEVEL / LEAN, block.std))
-    return leans, Unknowns(unknowns.blocks | {"contact_points": wider})
+    widened = replace(block, std=torch.where(affine, block.std * UNLEVEL / LEAN, block.std))
+    return leans, Unknowns(unknowns.blocks | {"contact_points": widened})
 
 
 def unevenness(setup: SetupErrors, model: ParticleModel) -> tuple[str, float]:
-    """Error of the setup that makes the loads of a group's points of contact uneven, and by how much.
+    """Error of the setup that makes the loads of a group's points of contact uneven, and its size.
 
-    Either unequal loads on known feet, or few points anywhere under a group. Balance decides the loads of a rigid
+    Either unequal loads on known feet, or few points anywhere under a group. Balance determines the loads of a rigid
     body's points.
 
     Returns:
-        Name of the error; and variance of a load, as a part of an even share, over the number of points, 0 if known.
+        Name of the error; and variance of a load, relative to an even share, over the number of points, 0 if known.
     """
     if model.stands_on_feet:
         return "foot_load", setup.foot_load**2 * len(model.parts) / len(model.feet)

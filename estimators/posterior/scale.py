@@ -1,4 +1,4 @@
-"""Reading of a scale, by itself and as a measurement of all unknowns."""
+"""Weighing of an object, and its reading as a measurement of all unknowns."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ class Weighing:
     """Reading of a scale: the masses of all particles together."""
 
     count: Float[np.ndarray, "n_m"]
-    """Particles of each mass group, by the material in their cells: derivative of the reading in a particle's mass."""
+    """Particles of each mass group, weighted by fill: derivative of the reading in a particle's mass."""
     error: float
     """Standard deviation, kg."""
 
     @staticmethod
     def of(shape: ObjectShape, error: float, setup: SetupErrors) -> Weighing:
-        """Weighing of an object on a scale with an error of its own, kg, beside that of the setup."""
+        """Weighing of an object by a scale of its own `error`, kg, and that of the setup."""
         return Weighing(shape.particles_per_group.astype(float), math.hypot(error, setup.scale))
 
     def row(self, unknowns: int) -> Float[np.ndarray, "unknowns"]:
-        """Derivative of the reading in particle masses and what follows them, in units of its error."""
+        """Derivative of the reading in particle masses and further unknowns, in units of its error."""
         return np.append(self.count / self.error, np.zeros(unknowns - len(self.count)))
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Mass of the whole object as read."""
+    """Reading of the whole object's mass."""
 
     reading: float
     """M, kg."""
     weighing: Weighing
-    """Masses that the scale adds up, and its error."""
+    """Derivatives of the reading, and its error."""
 
     @property
     def parts(self) -> list[tuple[str, int, None]]:
@@ -55,10 +55,10 @@ class Scale:
         count = torch.tensor(self.weighing.count)
         blocks = [(first[None], torch.tensor([[[self.weighing.error**2]]], dtype=torch.float64))]
 
-        def elsewhere(z: Tensor) -> Tensor:
+        def residual_at(z: Tensor) -> Tensor:
             return (count @ unknowns.values(z)["mass"] - self.reading)[None]
 
         def slopes_at(z: Tensor) -> Tensor:
             return unknowns.columns({"mass": count[None, None]}, first, z)[0]
 
-        return Linearized(elsewhere(z), slopes_at(z), blocks, elsewhere, slopes_at)
+        return Linearized(residual_at(z), slopes_at(z), blocks, residual_at, slopes_at)

@@ -15,11 +15,12 @@ from estimators.posterior.unknowns import Unknowns
 ROUNDS = 30
 """Greatest number of linearizations."""
 TOLERANCE = 0.1
-"""Decrease of the cost, twice that of the negative log likelihood, by a step after which a solution has converged: that
-of a third of a standard error, of which the step leaves little."""
+"""Decrease of the cost, twice the negative log likelihood, below which a step ends the search: that of a third of a
+standard error."""
 LARGEST_DAMPING = 1e9
+"""Damping above which a search has no descent."""
 Blocks = Sequence[tuple[Int[Tensor, "C r"], Float[Tensor, "C r r"]]]
-"""Rows whose errors are correlated, and their covariance: C sets of equally many rows in each entry."""
+"""Indices of rows with correlated errors and their covariance: in each entry C sets of r rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +33,12 @@ class Linearized:
     """Derivatives of the predicted rows in z."""
     blocks: Blocks
     """Covariance of their errors."""
-    elsewhere: Callable[[Float[Tensor, "n"]], Float[Tensor, "R"]]
+    residual_at: Callable[[Float[Tensor, "n"]], Float[Tensor, "R"]]
     """Residual at other z."""
     slopes_at: Callable[[Float[Tensor, "n"]], Float[Tensor, "R n"]]
     """Slopes at other z."""
-    taken: Callable[[], float] = float
-    """Number of rows that go into unknowns of the measurement's own, as the load of a gripper."""
+    absorbed: Callable[[], float] = float
+    """Number of rows absorbed by unknowns of the measurement itself, such as the gripper's load."""
 
 
 class Measurement(Protocol):
@@ -45,7 +46,7 @@ class Measurement(Protocol):
 
     @property
     def parts(self) -> Sequence[tuple[str, int, int | None]]:
-        """Parts of the rows in their order: name, number of rows, and trial by its place among the trajectories."""
+        """Parts of the rows in order: name, number of rows, and trial by its index among the trajectories."""
         ...
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
@@ -64,14 +65,14 @@ class Whitened:
 
     @staticmethod
     def of(found: Linearized) -> Whitened:
-        """Rows over their errors."""
+        """Rows in units of their errors."""
         roots = [(rows, torch.linalg.cholesky(covariance)) for rows, covariance in found.blocks]
-        both = _over(roots, torch.cat([found.residual[:, None], found.slopes], 1))
+        both = _whiten(roots, torch.cat([found.residual[:, None], found.slopes], 1))
         return Whitened(both[:, 0], both[:, 1:], roots)
 
     def over(self, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
-        """Other values over the same errors."""
-        return _over(self.roots, values)
+        """Other values in units of the same errors."""
+        return _whiten(self.roots, values)
 
 
 def joined(rows: Sequence[Whitened]) -> tuple[Float[Tensor, "R"], Float[Tensor, "R n"]]:
@@ -79,8 +80,8 @@ def joined(rows: Sequence[Whitened]) -> tuple[Float[Tensor, "R"], Float[Tensor, 
     return torch.cat([each.residual for each in rows]), torch.cat([each.slopes for each in rows])
 
 
-def _over(roots: Blocks, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
-    """Values over the roots of their covariance."""
+def _whiten(roots: Blocks, values: Float[Tensor, "R m"]) -> Float[Tensor, "R m"]:
+    """Values in units of their errors: L^-1 values, with the roots L of their covariance."""
     found = torch.empty_like(values)
     for rows, root in roots:
         found[rows] = torch.linalg.solve_triangular(root, values[rows], upper=False)
@@ -101,11 +102,11 @@ class Optimum:
 def solve(
     measurements: Sequence[Measurement], unknowns: Unknowns, start: Float[Tensor, "n"], most: int = ROUNDS
 ) -> Optimum:
-    """Minimum of |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease it.
+    """Minimize |residual|^2 + |z|^2 by Gauss-Newton steps, damped where one does not decrease the cost.
 
     Errors that depend on z are those at the start of each step: iteratively reweighted least squares.
-    Steps are straight in the masses, of which the weighing knows the sum, not in their logarithms. Masses and loads
-    multiply, so a whole step overshoots: the minimum of a parabola along it is tried as well.
+    Steps are linear in the masses, whose sum is weighed, not in their logarithms. Rows are products of masses and
+    loads, so a full step overshoots: the minimum of a parabola along it is tried as well.
     """
     z, damping, eye = start, 0.0, torch.eye(len(unknowns), dtype=torch.float64)
     converged, rounds, residual = False, 0, torch.zeros(0, dtype=torch.float64)
@@ -127,9 +128,9 @@ def solve(
             part = min(max(downhill / bend, 0.1), 2.0) if bend > 0 else 1.0
             if abs(part - 1) > 0.1:
                 other = unknowns.stepped(z, part * step)
-                elsewhere = _residual(other, found, rows)
-                if (less := float(elsewhere @ elsewhere + other @ other)) < least:
-                    at, moved, least = other, elsewhere, less
+                there = _residual(other, found, rows)
+                if (less := float(there @ there + other @ other)) < least:
+                    at, moved, least = other, there, less
             if least < now or downhill < TOLERANCE:
                 damping = damping / 10 if damping > 1e-3 else 0.0
                 break
@@ -143,4 +144,4 @@ def solve(
 
 def _residual(z: Float[Tensor, "n"], found: Sequence[Linearized], rows: Sequence[Whitened]) -> Float[Tensor, "R"]:
     """Whitened residuals at other z."""
-    return torch.cat([white.over(each.elsewhere(z)[:, None])[:, 0] for each, white in zip(found, rows, strict=True)])
+    return torch.cat([white.over(each.residual_at(z)[:, None])[:, 0] for each, white in zip(found, rows, strict=True)])

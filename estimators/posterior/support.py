@@ -29,18 +29,19 @@ DECISIVE = 2.0
 EVIDENCE = "log10_bayes_factor", "rigid_share", "rigid_share_error"
 """Entries of `Estimate.diagnostics` by a support test: fields of `SupportTest`."""
 LOADS = 1.0, 0.3, 0.1
-"""Sizes of the gripper's load, as parts of that stated, that a choice of the support allows. Ours."""
+"""Sizes of the gripper's load over that stated, among which a choice of the support averages. Ours."""
 CLEAR = 20.0
 """log10 of a Bayes factor at the stated load beyond which smaller loads change no choice. Ours."""
-FEW, FAR = 4, 30.0
-"""Rounds of a search after which masses of one material that are less likely by a factor of e^30 play no part. Ours."""
+FEW_ROUNDS, NEGLIGIBLE = 4, 30.0
+"""Rounds of a search for one material, and the log of the factor by which it may then be less likely and still be
+searched on. Ours."""
 MAX_MISFIT = 10.0
 """Misfit beyond which one rigid body does not explain the wrenches either."""
 STIFF = 0.9
-"""Share of springs from which a search starts near one rigid body: beyond it loads hardly change."""
+"""Share of springs at which a search starts near one rigid body: beyond it loads hardly change."""
 SOFT = 0.2
-"""Share of springs from which the errors of one rigid body are tried first: with those of own weight a share of 0.6 was
-off by three errors. Ours."""
+"""Share of springs above which the errors of one rigid body are tried first: with those of own weight a share of 0.6
+was off by three standard errors. Ours."""
 NEARLY = 0.03
 """Difference of the share from 1 up to which a body counts as rigid: simulated ones have 0.97 to 1.02. Ours."""
 MOST = 1.5
@@ -58,7 +59,7 @@ class SupportTest:
     """Share of springs between the groups in the loads, as in `Springs.joined`: 0 on own weight, 1 under one rigid
     body."""
     rigid_share_error: float
-    """Standard error of that share; about 1 where nothing shows it."""
+    """Standard error of that share; about 1 where the trials do not show it."""
     shared: Posterior | None = None
     """Posterior with springs between the groups, where neither model holds and springs explain the trials."""
 
@@ -69,7 +70,7 @@ class SupportTest:
 
     @property
     def sentence(self) -> str:
-        """Finding in plain words."""
+        """Finding in a sentence."""
         sentences = {
             "own_weight": "every group rests on its own weight",
             "rigid": "the weight is spread as under one rigid body, not group by group",
@@ -93,11 +94,11 @@ def support_test(
 ) -> SupportTest:
     """Choice between the posteriors of two support models.
 
-    The Bayes factor takes the errors of the model that one rigid body has for both, up to a common factor: neither wins
-    by its exactness. The gripper's load is as large as stated or smaller: where there is none, the model under which it
-    would move friction more may not lose by what did not happen.
-    The prior of one material throughout equals that of any masses. Then springs between the groups are fitted from the
-    likelier model on: where their share differs from its own, neither holds.
+    The Bayes factor assigns both models the errors of one rigid body, up to a common factor, so that neither wins by
+    smaller stated errors. It averages over the gripper's load at the stated size and below: without a load, the model
+    in which a load changes friction more would otherwise lose. One material throughout has the same prior probability
+    as unequal masses. Springs between the groups are then fitted from the likelier model: if their share differs from
+    that of the model, neither model holds.
 
     Args:
         shape: geometry and groups.
@@ -105,7 +106,7 @@ def support_test(
         trajectories: trials.
         own: their posterior on own weight.
         rigid: their posterior under one rigid body.
-        level: rate at which own weight is refused where it holds.
+        level: probability of refusing own weight where it holds.
     """
     alike = posterior_of(shape, weight, trajectories, "own_weight", errors=RIGID, near=own)
     assert alike is not None
@@ -130,9 +131,9 @@ def support_test(
 
 
 def _share(sprung: Posterior, near: Posterior, end: float) -> tuple[float, float]:
-    """Share of springs and its standard error, beside the posterior at an end without them.
+    """Share of springs and its standard error, by the posterior with springs and the one at an end without.
 
-    The error is no smaller than the likelihood ratio to that end allows: far from it the share trades against errors
+    The likelihood ratio to that end bounds the error from below: far from the end the share trades off against errors
     of the setup, and the curvature at its optimum is too large.
     """
     share, error = map(float, sprung.of("rigid_share"))
@@ -151,8 +152,8 @@ def _springs(
 ) -> Posterior | None:
     """Posterior of springs between the groups, where they explain the trials; None where they do not.
 
-    Those of the test itself, with the errors of the likelier model; stiff ones with the errors of one rigid body. Only
-    if they are decisively likelier than either model alone with the same errors, at a share that springs can have.
+    Soft springs have the errors of the likelier model, as in the test itself; stiff ones those of one rigid body. They
+    have to be decisively likelier than either model alone with the same errors, at a share that springs can have.
     """
     share, found = float(sprung.of("rigid_share")[0]), list[tuple[Posterior, Posterior]]()
     if not sprung.explained.explains or share > SOFT:
@@ -171,7 +172,7 @@ def _evidence(fit: Posterior) -> float:
 
 
 def _holds(shared: Posterior, alone: Posterior) -> bool:
-    """True if springs explain the trials, at a share that they can have, decisively better than none."""
+    """True if springs of a possible share explain the trials, decisively better than none."""
     possible = float(shared.of("rigid_share")[0]) > -NEARLY
     return possible and shared.explained.explains and _evidence(shared) - _evidence(alone) > DECISIVE * math.log(10)
 
@@ -184,7 +185,7 @@ def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: 
         for evidence, posterior in zip(found, (own, rigid), strict=True):
             fit = _with_load(posterior, part)
             evidence.append(fit.log_evidence_to_scale)
-            if part == LOADS[0] or evidence[1] > evidence[0] - FAR:
+            if part == LOADS[0] or evidence[1] > evidence[0] - NEGLIGIBLE:
                 evidence.append(_of_one_material(fit, shape, weight))
         on_own, on_rigid = (float(torch.logsumexp(torch.tensor(each), 0)) for each in found)
         log10 = (on_own - on_rigid) / math.log(10)
@@ -194,16 +195,16 @@ def _bayes_factor(own: Posterior, rigid: Posterior, shape: ObjectShape, weight: 
 
 
 def _of_one_material(posterior: Posterior, shape: ObjectShape, weight: float) -> float:
-    """Log evidence of one material throughout; of masses far from it as a few rounds of the search leave it."""
+    """Log evidence of one material throughout; after `FEW_ROUNDS` of the search where it is negligible."""
     even = torch.full((shape.n_m,), weight / float(shape.particles_per_group.sum()), dtype=torch.float64)
-    fit = posterior.given(even, FEW)
-    if not fit.optimum.converged and fit.log_evidence_to_scale > posterior.log_evidence_to_scale - FAR:
+    fit = posterior.given(even, FEW_ROUNDS)
+    if not fit.optimum.converged and fit.log_evidence_to_scale > posterior.log_evidence_to_scale - NEGLIGIBLE:
         fit = posterior.given(even)
     return fit.log_evidence_to_scale
 
 
 def _with_load(posterior: Posterior, part: float) -> Posterior:
-    """Posterior with the gripper's load a part of the stated size."""
+    """Posterior with the stated size of the gripper's load scaled by `part`."""
     if part == 1:
         return posterior
     smaller = [m.with_load(part) if isinstance(m, OnTable) else m for m in posterior.measurements]

@@ -22,28 +22,28 @@ from estimators.wrench.table import Table
 SWING = 3e-4
 """Error of the center of an accelerated turn, m: the arm swings. Ours."""
 PUSH_ERROR = 0.002
-"""Model error of a push, as a part of the total drag, beside that of slow feet: the simulation is off by 0.05 to
-0.14 %, and by more in few windows, where a light block tips."""
+"""Model error of a push, as a part of the total drag, besides that of slow feet: the simulation differs by 0.05 to
+0.14 %, and by more in the few windows in which a light block tips."""
 LEANING = 0.01
-"""Further model error of a push on unknown points of contact, as a part of the drag: it leans every group. Ours."""
+"""Further model error of a push on unknown points of contact, as a part of the drag: it tilts every group. Ours."""
 SLOW = 1e-3
-"""Speed at which a foot of a pushed object may drag half of its friction less, or another way, m/s: nothing keeps the
-center of rotation off a point of contact, and there it sticks. Ours."""
+"""Speed at which half of the friction of a pushed object's foot has no known size and direction, m/s: a foot near the
+center of rotation sticks. Ours."""
 LEAST_VARIANCE = 1e-12
-"""Least variance of a row, N^2 and (N m)^2: sensors without noise have weights too."""
+"""Least variance of a row, N^2 and (N m)^2, for sensors without noise."""
 ROUNDING = 1e-13
-"""Part of the largest variance of a trial that is added to all: rounding may not make a covariance indefinite."""
+"""Part of the largest variance of a trial added to all variances, so that rounding leaves a covariance definite."""
 
 
 @dataclass(frozen=True, eq=False)
 class TableErrors:
-    """Errors of the rows of K windows, r a window; those of the gripper's load scale with what it changes."""
+    """Errors of the rows of K windows, r rows a window; those by the gripper's load are linear in its effects."""
 
     windows: Observations
     own: Float[Tensor, "K r r"]
     """Covariance of each window's own errors, of sensor and model."""
-    late: Float[Tensor, "K r m"]
-    """Effects of one standard deviation of each error of the model that the windows of a trial share."""
+    shared: Float[Tensor, "K r m"]
+    """Effects of one standard deviation of each error that the windows of a trial share."""
 
     @staticmethod
     def of(
@@ -59,23 +59,23 @@ class TableErrors:
             drag: friction of every particle, N.
             errors: errors of the model.
         """
-        by_hand = ~(windows.pushed | windows.articulated)  # a camera's motion has its noise in place of wandering
+        by_hand = ~(windows.pushed | windows.articulated)  # motion measured by a camera has noise, but does not wander
         wanders = windows.twists[by_hand].diff(dim=1).any()
-        left_out = [by_hand[:, None, None] * (table.unresolved @ drag[..., None])] if wanders else []
+        unresolved = [by_hand[:, None, None] * (table.unresolved @ drag[..., None])] if wanders else []
         table = table.dragged(drag)
         slopes, hinges = _slopes(windows, table, mass), windows.hinges
-        slopes["unresolved"] = torch.cat([slopes["twist"][..., :0], *left_out], -1)
-        planar, late = _of_motion(windows, table, slopes, drag, errors)
-        # an error of the inertia is once of each trial, and once of all: that is an unknown
-        late = torch.cat([late, errors.inertia_error * slopes["mass"] @ mass[:, None]], -1)
+        slopes["unresolved"] = torch.cat([slopes["twist"][..., :0], *unresolved], -1)
+        planar, shared = _of_motion(windows, table, slopes, drag, errors)
+        # the inertia errs once a trial, and once in all trials: the second error is an unknown
+        shared = torch.cat([shared, errors.inertia_error * slopes["mass"] @ mass[:, None]], -1)
         swing, of_center = (SWING * windows.twist[:, 2]).square(), slopes["twist"][..., :2]
         planar = planar + (swing * windows.accelerated)[:, None, None] * of_center @ of_center.mT
         to_rows = rows_of_planar(windows.load_map[:, 1, 0], hinges)
         own = to_rows @ planar @ to_rows.mT + pad(windows.noise, (0, hinges, 0, hinges))
-        return TableErrors(windows, own + LEAST_VARIANCE * torch.eye(6 + hinges, dtype=torch.float64), to_rows @ late)
+        return TableErrors(windows, own + LEAST_VARIANCE * torch.eye(6 + hinges, dtype=torch.float64), to_rows @ shared)
 
     def blocks(self, carried: Float[Tensor, "K r 3"]) -> Blocks:
-        """Rows of each trial, and the covariance of their errors.
+        """Indices of the rows of each trial, and the covariance of their errors.
 
         Args:
             carried: derivatives of the rows in the gripper's lift and moment.
@@ -83,7 +83,7 @@ class TableErrors:
         windows, rows, found = self.windows, self.own.shape[1], []
         more = (0, windows.hinges, 0, windows.hinges)
         for inside in self.trials:
-            each, late = torch.arange(inside.shape[1]), self.late[inside].flatten(1, 2)
+            each, shared = torch.arange(inside.shape[1]), self.shared[inside].flatten(1, 2)
             bias, drift = pad(windows.bias[inside[:, 0]], more), pad(windows.drift[inside[:, 0]], more)
             covariance = (
                 self._of_load(carried, inside)
@@ -91,27 +91,27 @@ class TableErrors:
             )
             covariance += bias[:, None, :, None]
             covariance[:, each, :, each] += self.own[inside].transpose(0, 1)
-            covariance = covariance.flatten(3).flatten(1, 2) + late @ late.mT
+            covariance = covariance.flatten(3).flatten(1, 2) + shared @ shared.mT
             variance = covariance.diagonal(dim1=1, dim2=2)
             variance.add_(ROUNDING * variance.amax(1, keepdim=True))
             found.append(((inside[..., None] * rows + torch.arange(rows)).flatten(1), covariance))
         return found
 
     def _of_load(self, carried: Float[Tensor, "K r 3"], inside: Int[Tensor, "C k"]) -> Float[Tensor, "C k r k r"]:
-        """Covariance of the rows of some trials by the gripper's load."""
+        """Part of the covariance of some trials' rows that the gripper's load causes."""
         return torch.einsum("ckia,ckla,clja->ckilj", carried[inside], self.load_covariance(inside), carried[inside])
 
-    def taken(self, carried: Float[Tensor, "K r 3"], blocks: Blocks) -> float:
-        """Number of rows that go into the gripper's load: the part of their covariance that is the load's."""
-        taken = 0.0
+    def absorbed(self, carried: Float[Tensor, "K r 3"], blocks: Blocks) -> float:
+        """Number of rows absorbed by the gripper's load: the trace of its part of their covariance."""
+        count = 0.0
         for inside, (_, covariance) in zip(self.trials, blocks, strict=True):
             of_load = self._of_load(carried, inside).flatten(3).flatten(1, 2)
-            taken += float(torch.linalg.solve(covariance, of_load).diagonal(dim1=1, dim2=2).sum())
-        return taken
+            count += float(torch.linalg.solve(covariance, of_load).diagonal(dim1=1, dim2=2).sum())
+        return count
 
     @cached_property
     def trials(self) -> list[Int[Tensor, "C k"]]:
-        """Windows of each trial, of C trials of k windows in each entry."""
+        """Indices of the windows of each trial: an entry for C trials of k windows each."""
         _, trial, count = torch.unique(self.windows.trial, return_inverse=True, return_counts=True)
         order, begin = torch.argsort(trial, stable=True), count.cumsum(0) - count
         return [order[begin[count == k, None] + torch.arange(int(k))] for k in count.unique()]
@@ -121,7 +121,7 @@ class TableErrors:
         windows = self.windows
         alpha, changed = (windows.acceleration[:, 2] * windows.accelerated)[inside], windows.load_change[inside]
         along = alpha / alpha.square().mean(1, keepdim=True).sqrt().clamp(min=1e-9)
-        # an arm that swings carries load along its acceleration, beside what changes from window to window
+        # a swinging arm carries load in proportion to its acceleration, besides the change from window to window
         change = torch.eye(inside.shape[1], dtype=torch.float64) + along[:, :, None] * along[:, None]
         change = change[..., None] * changed[:, :, None] * changed[:, None]
         if inside.shape[1] > 1:  # the change is about the trial's mean, which a nulled gripper keeps small
@@ -133,7 +133,7 @@ class TableErrors:
     def shrunken_load(
         self, residual: Float[Tensor, "K r"], carried: Float[Tensor, "K r 3"], blocks: Blocks
     ) -> Float[Tensor, "K 3"]:
-        """Most likely lift and moments of the gripper, N and N m, given residuals without any."""
+        """Most likely lift and moments of the gripper, N and N m; residuals are those of a gripper without load."""
         found = torch.zeros(len(residual), 3, dtype=torch.float64)
         for inside, (rows, covariance) in zip(self.trials, blocks, strict=True):
             root = torch.linalg.cholesky(covariance)
@@ -144,10 +144,10 @@ class TableErrors:
 
 
 def rows_of_planar(height: Float[Tensor, "K"], hinges: int) -> Float[Tensor, "K 6+H 3+H"]:
-    """Map from planar wrenches at some heights, m, and hinge torques to rows: their forces have moments about the feet.
+    """Map from planar wrenches and hinge torques to rows: the forces have moments about the feet.
 
     Args:
-        height: height of the TCP over the point at which each wrench acts.
+        height: height of the TCP over the point at which each wrench acts, m.
         hinges: H.
     """
     found = torch.zeros(len(height), 6 + hinges, 3 + hinges, dtype=torch.float64)
@@ -157,9 +157,10 @@ def rows_of_planar(height: Float[Tensor, "K"], hinges: int) -> Float[Tensor, "K 
 
 
 def _slopes(windows: Observations, table: Table, mass: Float[Tensor, "P"]) -> Slopes:
-    """Derivatives of planar wrenches and hinge torques in what errs from window to window.
+    """Derivatives of planar wrenches and hinge torques in the quantities that err from window to window.
 
-    Besides, changes by one standard deviation: `links_seen`, and `idle`, of particles so slow that they drag any way.
+    `links_seen` and `idle` are changes by one standard deviation; `idle` is the drag of particles so slow that it has
+    no known direction.
     """
     pushed = windows.seen.shape[-1] > 0
     unknown = zeros(twist=(3,)) | {"mass": mass}
@@ -203,22 +204,22 @@ def _of_motion(
     alone.append(slopes.get("idle", moved[..., :0]))
     if "friction_law" in slopes:  # friction varies within a trial as it does between them
         alone.append(windows.setup.friction_law * slopes["friction_law"])
-    late = [moved[..., :0]]  # an error of the clock is the same throughout a trial
+    shared = [moved[..., :0]]  # an error of the clock is the same throughout a trial
     for name in ("seen", "links_seen"):
         if name in slopes:
             alone.append(slopes[name][..., :-1])
-            late.append(slopes[name][..., -1:])
+            shared.append(slopes[name][..., -1:])
     if windows.articulated:
         about = (slopes["friction"][:, 3:].abs() @ drag[..., None])[..., 0]
         own = own + link_errors(windows, torch.cat([total, about], 1)).square()
     by_window = torch.cat(alone, -1)
-    return torch.diag_embed(own) + by_window @ by_window.mT, torch.cat(late, -1)
+    return torch.diag_embed(own) + by_window @ by_window.mT, torch.cat(shared, -1)
 
 
 def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
-    """Part of the drag of each particle of a push that may act any way, one standard deviation along each axis.
+    """Part of the drag of each particle of a push of unknown direction, one standard deviation along each axis.
 
-    Of one that is slower than `SLOW`, or than its speed errs by the camera: beyond that the error's effect is linear.
+    For particles slower than `SLOW` or than the camera's error of their speed; that of faster ones has a linear effect.
     """
     square = table.moved({}).velocity.square().sum(-1)
     place = windows.grasp[:, None] + table.lever

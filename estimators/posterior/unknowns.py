@@ -1,4 +1,4 @@
-"""Unknowns of an estimate: named blocks with priors, together one vector z of independent standard normals."""
+"""Unknowns of an estimate: named blocks with priors, standardized to one vector z of independent standard normals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Block:
     by_trial: bool = False
     """True for a value per trial: the leading axis is the trial."""
     inverse: bool = False
-    """True for a positive parameter of which steps are straight in its inverse."""
+    """True for a positive parameter whose steps are linear in its inverse."""
 
     def value(self, z: Float[Tensor, "n"]) -> Tensor:
         """Parameter in its own unit."""
@@ -40,9 +40,9 @@ class Block:
         return torch.where(self.std > 0, off / self.std, 0.0).flatten()
 
     def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """z after a step that is straight in the parameter or its inverse, also where its logarithm has the prior.
+        """z after a step linear in the parameter or its inverse, also where the prior is of its logarithm.
 
-        Where one of these falls below half of its value, it falls exponentially.
+        Below half of its value, the parameter or its inverse falls exponentially.
         """
         if not self.positive:
             return z + step
@@ -58,7 +58,7 @@ class Block:
 
     @staticmethod
     def normal(size: Tensor | float, trials: int | None = None) -> Block:
-        """Error of mean 0 and a standard deviation, one per trial where their number is given."""
+        """Error of mean 0 and standard deviation `size`, with a value per trial where their number is given."""
         std = torch.as_tensor(size, dtype=torch.float64)
         std = std if trials is None else std.expand(trials, *std.shape)
         return Block(torch.zeros_like(std), std, by_trial=trials is not None)
@@ -94,7 +94,7 @@ class Unknowns:
         return sum(block.mean.numel() for block in self.blocks.values())
 
     def start(self, **values: float | Tensor) -> Float[Tensor, "n"]:
-        """z of the prior means, but of some parameters of a given value."""
+        """z of the prior means, with the given values of some parameters."""
         z = torch.zeros(len(self), dtype=torch.float64)
         for name, value in values.items():
             z[self.at[name]] = self.blocks[name].standardized(torch.as_tensor(value, dtype=torch.float64))
@@ -105,10 +105,7 @@ class Unknowns:
         return {name: block.value(z[self.at[name]]) for name, block in self.blocks.items()}
 
     def stepped(self, z: Float[Tensor, "n"], step: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """z after a step, straight in the parameters' own units or their inverses.
-
-        Sums of masses, which are weighed, stay linear.
-        """
+        """z after a step linear in the parameters or their inverses, so that the weighed sum of masses is linear."""
         return torch.cat([block.stepped(z[self.at[name]], step[self.at[name]]) for name, block in self.blocks.items()])
 
     def given(self, **values: Tensor) -> Unknowns:
@@ -116,7 +113,7 @@ class Unknowns:
         return Unknowns(self.blocks | {name: Block.known(value) for name, value in values.items()})
 
     def of(self, names: set[str], z: Float[Tensor, "n"]) -> tuple[Theta, Theta]:
-        """Those of the named parameters that are unknown: shared by all trials, and one per trial."""
+        """Values of the named parameters that are unknown: those of all trials, and those with a value per trial."""
         found = {name: self.blocks[name].value(z[self.at[name]]) for name in names if name in self.blocks}
         by_trial = {name: value for name, value in found.items() if self.blocks[name].by_trial}
         return {name: value for name, value in found.items() if name not in by_trial}, by_trial
@@ -129,7 +126,7 @@ class Unknowns:
         Args:
             slopes: derivatives by name.
             trial: trial of each window.
-            z: where they were taken.
+            z: point at which they are the derivatives.
         """
         count, rows = next(iter(slopes.values())).shape[:2]
         found = torch.zeros(count, rows, len(self), dtype=torch.float64)

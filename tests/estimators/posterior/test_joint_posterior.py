@@ -1,4 +1,4 @@
-"""Joint posterior: its unknowns, its derivatives, what it recovers, how sure it is, and its evidence."""
+"""Joint posterior: unknowns, derivatives, recovered masses, covariance, and evidence."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -56,11 +56,10 @@ def pushed():
 
 @cache
 def in_links():
-    last = len(CHAIN.shape.grasps) - 1
-    actions = [Slide(0, math.pi / 2, duration=1.5), Slide(last, -math.pi / 2, duration=1.5)]
-    actions += [
-        Rotate(g, duration=1.5, pivot=tuple((CHAIN.shape.grasps[g].position + 0.015).tolist())) for g in (0, last)
-    ]
+    grasps = CHAIN.shape.grasps
+    ends = {0: math.pi / 2, len(grasps) - 1: -math.pi / 2}
+    actions: list[Slide | Rotate] = [Slide(grasp, way, duration=1.5) for grasp, way in ends.items()]
+    actions += [Rotate(g, duration=1.5, pivot=tuple((grasps[g].position + 0.015).tolist())) for g in ends]
     return [analytic_links(CHAIN, action) for action in actions]
 
 
@@ -114,7 +113,7 @@ def test_derivatives_are_those_of_the_rows(kind):
         slopes = found.slopes
         for _ in range(3):
             way = torch.tensor(rng.standard_normal(len(unknowns)))
-            ahead, behind = (found.elsewhere(z + step * way) for step in (1e-5, -1e-5))
+            ahead, behind = (found.residual_at(z + step * way) for step in (1e-5, -1e-5))
             assert_allclose(slopes @ way, (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-6 * float(slopes.abs().max()))
 
 
@@ -127,7 +126,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     monkeypatch.setattr(Observations, "twist_noise", torch.zeros(3, dtype=torch.float64))
     monkeypatch.setattr(solver, "TOLERANCE", 1e-12)
     model, (planned, scale), unknowns = problem(kind, loaded=False)
-    # so wide that it does not count
+    # priors so wide that they do not count
     unknowns = Unknowns({name: replace(block, std=1e3 * block.std) for name, block in unknowns.blocks.items()})
     truth = at_truth(model, unknowns)
     off = planned.linearized(unknowns, truth).residual.reshape(planned.read.shape)
@@ -144,7 +143,7 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_answer_has_the_errors_of_the_setup_with_their_own():
+def test_an_answer_has_the_errors_of_the_setup_with_their_standard_errors():
     trials = [replace(trial, setup=LAB) for trial in KINDS["accelerated"][1]()]
     numbers = ask(OBJECT, trials, Bayes()).diagnostics
     for name in ("table_tilt_1", "gain_5", "grasp_offset_0_1", "delay", "friction_0"):
@@ -176,18 +175,15 @@ def patterns_of_contact() -> list[tuple[Tensor, Tensor, Tensor]]:
     ]
 
 
-def test_patterns_of_contact_keep_load_and_moments_but_for_two():
-    for at, ways, _ in patterns_of_contact():
+def test_patterns_of_contact_keep_load_and_moments_but_for_two_and_the_radial_one_spreads():
+    for at, ways, radial in patterns_of_contact():
         assert_allclose(ways.T @ ways, np.eye(ways.shape[1]), atol=1e-12)
         assert_allclose(ways.sum(0), 0.0, atol=1e-12)
         assert_allclose(ways[:, 2:].T @ at, 0.0, atol=1e-12)
-
-
-def test_the_radial_pattern_adds_its_standard_deviation_to_the_mean_square_distance():
-    for at, ways, radial in patterns_of_contact():
         part, taken = ways @ radial, ways.abs().sum(1) > 0
         square = (at - at[taken].mean(0)).square().sum(1)
         assert_allclose(torch.stack([part.sum(), *(part @ at)]), 0.0, atol=1e-12)
+        # the mean square distance grows by its standard deviation
         assert_allclose(part @ square, square[taken].std(correction=0), rtol=1e-6)
 
 
@@ -267,10 +263,10 @@ def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
     assert np.array_equal(broad.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"
 
 
-def padded(aside=0.0):
-    """An object on four feet a block, and the places of its feet, each moved by up to so much, m."""
+def padded(error=0.0):
+    """An object on four feet a block, and the offsets of its feet, of a standard deviation `error`, m."""
     plain, pads = drawn_object(2), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.018
-    off = aside * np.random.default_rng(5).standard_normal((plain.shape.n_m, 4, 2))
+    off = error * np.random.default_rng(5).standard_normal((plain.shape.n_m, 4, 2))
     feet = [plain.shape.middle_of(group) + pads + off[group] for group in range(plain.shape.n_m)]
     return plain.on_feet(feet), off
 
@@ -282,15 +278,15 @@ def test_masses_on_known_feet_are_recovered():
     assert_allclose(found(answer).mass * model.shape.particles_per_group, model.group_mass, rtol=0.01)
 
 
-def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
-    (model, _), (moved, off) = padded(), padded(aside=2e-4)
+def test_an_offset_of_a_foot_changes_the_wrench_as_its_derivative():
+    (model, _), (moved, off) = padded(), padded(error=2e-4)
     windows = windows_of(model, turns(model))
     measured = OnTable.of(model.shape, windows, "own_weight", SHARP)
     theta = true_values(model) | {"carried": torch.zeros(3, dtype=torch.float64)}
-    aside = {"foot_offset": torch.tensor(off.reshape(-1, 2))}
+    offset = {"foot_offset": torch.tensor(off.reshape(-1, 2))}
     predicted = [
         torch.vmap(lambda window, more=more: measured.wrench(theta | more, window))(measured.table.windows)
-        for more in ({}, aside)
+        for more in ({}, offset)
     ]
     change = windows_of(moved, turns(moved)).wrench - windows.wrench
     assert change.abs().max() > 1e-4
@@ -299,7 +295,7 @@ def test_a_foot_beside_its_place_changes_the_wrench_as_its_derivative_says():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [Bayes(), HiddenStates()], ids=["bayes", "hidden_states"])
-def test_known_feet_leave_less_open_than_unknown_points(method):
+def test_known_feet_leave_smaller_errors_than_unknown_points(method):
     errors = replace(EXACT_SETUP, contact_points=4, foot_offset=0.0005, foot_load=0.2)
     unknown, known = (
         claimed(ask(model, [replace(trial, setup=errors) for trial in trials_of(model)], method))
@@ -356,7 +352,7 @@ NOISE = torch.tensor(RNG.standard_normal(ROWS))
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """y = DESIGN[:, :n] value + noise of a stated variance, of which some rows may go into a load."""
+    """y = DESIGN[:, :n] value + noise of a stated variance."""
 
     y: Tensor
     variance: float

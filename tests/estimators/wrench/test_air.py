@@ -1,4 +1,4 @@
-"""An object in the air: its forward model against Newton's law and true flaws of a setup, and masses from lifts."""
+"""An object in the air: forward model against Newton's law and true errors of a setup, and masses from lifts."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ MASS = torch.tensor(OBJECT.truth.mass)
 
 
 def raw(record: Trajectory) -> np.ndarray:
-    """Wrench that a perfect sensor reads: the tool's, and after the tare the object's too."""
+    """Wrench that a perfect sensor reads: of the tool, and after the tare of the object too."""
     axes = rotation_matrix(record.sensor_orientation)
     own = rotate_wrench(axes.transpose(0, 2, 1), record.wrench_on_object_world)
     assert record.tool is not None
@@ -43,18 +43,18 @@ PLAIN = replace(PLAIN, sensor_wrench=raw(PLAIN))
 WINDOWS = lift_windows(compensate(PLAIN))
 
 
-def felt(windows: list[LiftWindow]) -> np.ndarray:
+def wrenches(windows: list[LiftWindow]) -> np.ndarray:
     return np.array([window.wrench for window in windows])
 
 
 def missing(record: Trajectory) -> np.ndarray:
-    """Wrenches of a record over those that its masses take by its own motion."""
+    """Measured wrenches less those that the masses take by the measured motion."""
     windows = lift_windows(record)
-    return felt(windows) - Air.of_masses(OBJECT.shape, windows).wrenches({"mass": MASS}).numpy()
+    return wrenches(windows) - Air.of_masses(OBJECT.shape, windows).wrenches({"mass": MASS}).numpy()
 
 
-def seen(record: Trajectory, **changes: object) -> np.ndarray:
-    """Wrenches unexplained in a record with flaws."""
+def changed(record: Trajectory, **changes: object) -> np.ndarray:
+    """`missing` of a record with other values of some fields."""
     return missing(compensate(replace(record, **changes)))  # pyright: ignore[reportArgumentType]
 
 
@@ -62,7 +62,7 @@ def test_the_wrench_of_given_masses_obeys_newton_and_is_linear_in_them():
     air = Air.of_masses(OBJECT.shape, WINDOWS)
     rows = air.linearized({"mass": MASS})[1]["mass"].numpy()
     for found in (air.wrenches({"mass": MASS}), rows @ OBJECT.truth.mass):
-        assert_allclose(found, felt(WINDOWS), rtol=0, atol=1e-8 * np.abs(felt(WINDOWS)).max())
+        assert_allclose(found, wrenches(WINDOWS), rtol=0, atol=1e-8 * np.abs(wrenches(WINDOWS)).max())
 
 
 def test_a_body_is_its_groups_together():
@@ -78,29 +78,21 @@ CROSS = 1e-3 * np.random.default_rng(3).standard_normal((6, 6)) * (1 - np.eye(6)
 ANGLE, COM, DELAY, HEAVIER = np.array([0.004, -0.003, 0.005]), np.array([1e-3, -5e-4, 8e-4]), 2 / RATE, 0.02
 TURNED = Rotation.from_rotvec(ANGLE).as_matrix()[None]
 LATE = np.maximum(np.arange(len(PLAIN.time_s)) - 2, 0)
+POSES = "tcp_position", "tcp_velocity", "sensor_orientation", "object_pose", "object_velocity"
 TILT, TILTED = 0.004, lifted(OBJECT, ACTION, tilt=0.004)
 ON_TOOL = tool_pulls(TOOL, rotation_matrix(PLAIN.sensor_orientation), SIDEWAYS)[:, 0]
 OF_TCP = np.array([4e-4, -3e-4])  # along the axes of the hand, whose z is down
 IN_OBJECT_AXES = (*(rotation_z(0.7)[:2, :2] @ [OF_TCP[0], -OF_TCP[1]]).tolist(), 0.0)
 FLAWS = {
-    "gain": (GAIN, lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench * (1 + GAIN))),
-    "crosstalk": (CROSS.ravel(), lambda: seen(PLAIN, sensor_wrench=PLAIN.sensor_wrench @ (np.eye(6) + CROSS).T)),
-    "mounting_angle": (ANGLE, lambda: seen(PLAIN, sensor_wrench=rotate_wrench(TURNED, PLAIN.sensor_wrench))),
-    "tool_mass": ([HEAVIER], lambda: seen(PLAIN, tool=replace(TOOL, mass=TOOL.mass - HEAVIER))),
-    "tool_com": (COM, lambda: seen(PLAIN, tool=replace(TOOL, com=TOOL.com - COM))),
-    "delay": (
-        [DELAY],
-        lambda: seen(
-            PLAIN,
-            **{
-                name: getattr(PLAIN, name)[LATE]
-                for name in ("tcp_position", "tcp_velocity", "sensor_orientation", "object_pose", "object_velocity")
-            },
-        ),
-    ),
+    "gain": (GAIN, lambda: changed(PLAIN, sensor_wrench=PLAIN.sensor_wrench * (1 + GAIN))),
+    "crosstalk": (CROSS.ravel(), lambda: changed(PLAIN, sensor_wrench=PLAIN.sensor_wrench @ (np.eye(6) + CROSS).T)),
+    "mounting_angle": (ANGLE, lambda: changed(PLAIN, sensor_wrench=rotate_wrench(TURNED, PLAIN.sensor_wrench))),
+    "tool_mass": ([HEAVIER], lambda: changed(PLAIN, tool=replace(TOOL, mass=TOOL.mass - HEAVIER))),
+    "tool_com": (COM, lambda: changed(PLAIN, tool=replace(TOOL, com=TOOL.com - COM))),
+    "delay": ([DELAY], lambda: changed(PLAIN, **{name: getattr(PLAIN, name)[LATE] for name in POSES})),
     "grasp_offset": ([4e-4, -3e-4], lambda: missing(lifted(OBJECT, ACTION, offset=(4e-4, -3e-4, 0.0)))),
     "tcp_offset": ([*OF_TCP, 0.0], lambda: missing(lifted(OBJECT, ACTION, offset=IN_OBJECT_AXES))),
-    "table_tilt": ([TILT, 0.0], lambda: seen(TILTED, sensor_wrench=raw(TILTED) + TILT * ON_TOOL)),
+    "table_tilt": ([TILT, 0.0], lambda: changed(TILTED, sensor_wrench=raw(TILTED) + TILT * ON_TOOL)),
 }
 
 
@@ -149,14 +141,14 @@ def test_lifts_show_six_numbers_and_all_six_are_right(seed):
     ("action", "rank"),
     [(Lift(0, tilt=0.0), 3), (Lift(0, swings=0), 3), pytest.param(Lift(0), 5, marks=pytest.mark.slow)],
 )
-def test_held_still_it_shows_m_and_c_alone(action, rank):
+def test_an_object_held_still_shows_m_and_c_alone(action, rank):
     obj = load_object("L2")
     rows, _ = shown_in_the_air(obj.shape, obj.total_mass, [lifted(obj, action, errors=1.0)])
     strength = np.linalg.norm(rows / obj.shape.particles_per_group, axis=1) * obj.total_mass
     assert (strength > 5).sum() == rank
 
 
-def test_what_is_planned_is_what_is_recorded():
+def test_predicted_windows_are_those_recorded():
     planned = predicted_lift(ACTION, preset("ft300s"))
     found = lift_windows(lifted(load_object("L2"), ACTION))
     assert len(planned) == len(found)
@@ -169,14 +161,13 @@ def test_what_is_planned_is_what_is_recorded():
 
 
 @pytest.mark.slow
-def test_its_errors_are_as_large_as_they_are_said_to_be():
-    """Bias, noise, and an offset in the grip, drawn as told: squared misses of the truth follow chi squared."""
-    obj, rng, misses = OBJECT, np.random.default_rng(0), []
-    said = LiftErrors()
+def test_errors_of_lifts_are_as_large_as_stated():
+    """Bias, noise, and offset in the grip by the stated errors: squared residuals of the truth follow chi-squared."""
+    obj, rng, misses, stated = OBJECT, np.random.default_rng(0), [], LiftErrors()
     for seed in range(24):
-        x, y, z = rng.standard_normal(3) * [said.grip, said.grip, said.height * obj.shape.height]
-        felt = lifted(obj, ACTION, offset=(x, y, z), errors=1.0, seed=seed)
-        rows, values = shown_in_the_air(obj.shape, obj.total_mass, [felt])
+        x, y, z = rng.standard_normal(3) * [stated.grip, stated.grip, stated.height * obj.shape.height]
+        lift = lifted(obj, ACTION, offset=(x, y, z), errors=1.0, seed=seed)
+        rows, values = shown_in_the_air(obj.shape, obj.total_mass, [lift])
         misses.append(np.sum((values - rows @ obj.truth.mass) ** 2))
     count = len(misses) * 6
     assert chi2.cdf(np.sum(misses), count) < 0.995
@@ -193,30 +184,30 @@ def test_errors_of_the_setup_count_as_stated(kind):
     away = setup.particle_offset * np.random.default_rng(0).standard_normal((OBJECT.shape.n_m, 2))
     places = OBJECT.shape.particles + away[OBJECT.shape.mass_group]
     true, offset = replace(OBJECT, shape=replace(OBJECT.shape, particles=places)), setup.grasp_offset
-    felt = lifted(true, ACTION, offset=(offset, -offset, 0.0), tilt=setup.table_tilt, errors=1.0, seed=2)
-    axes = rotation_matrix(felt.sensor_orientation)
-    sensed = move_wrench(rotate_wrench(axes.transpose(0, 2, 1), felt.wrench_on_object_world), -TOOL.tcp)
+    lift = lifted(true, ACTION, offset=(offset, -offset, 0.0), tilt=setup.table_tilt, errors=1.0, seed=2)
+    axes = rotation_matrix(lift.sensor_orientation)
+    sensed = move_wrench(rotate_wrench(axes.transpose(0, 2, 1), lift.wrench_on_object_world), -TOOL.tcp)
     turned = Rotation.from_rotvec([setup.mounting_angle, 0, 0]).as_matrix()
     sensed = (1 + setup.gain) * rotate_wrench(turned, sensed)
     wrong = replace(TOOL, mass=TOOL.mass + setup.tool_mass, com=TOOL.com + np.array([setup.tool_com, 0, 0]))
-    on_tool = tool_wrench(wrong, felt, axes) - tool_wrench(TOOL, felt, axes)
+    on_tool = tool_wrench(wrong, lift, axes) - tool_wrench(TOOL, lift, axes)
     up = Rotation.from_rotvec([setup.table_tilt, 0, 0]).apply([0, 0, GRAVITY]) - [0, 0, GRAVITY]
-    aside = TOOL.mass * np.einsum("nji,j->ni", axes, up)
-    on_tool += np.hstack([aside, np.cross(TOOL.com, aside)])
+    tool_pull = TOOL.mass * np.einsum("nji,j->ni", axes, up)
+    on_tool += np.hstack([tool_pull, np.cross(TOOL.com, tool_pull)])
     if setup.delay:  # the sensor is ahead of the poses
-        both = sensed + tool_wrench(TOOL, felt, axes)
-        on_tool += interpolated(felt.time_s + setup.delay, felt.time_s, both) - both
-    sensed += on_tool - on_tool[tare_samples(felt)].mean(axis=0)
-    felt = replace(felt, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
+        both = sensed + tool_wrench(TOOL, lift, axes)
+        on_tool += interpolated(lift.time_s + setup.delay, lift.time_s, both) - both
+    sensed += on_tool - on_tool[tare_samples(lift)].mean(axis=0)
+    lift = replace(lift, wrench_on_object_world=rotate_wrench(axes, move_wrench(sensed, TOOL.tcp)))
     stated, left_out = (
-        shown_in_the_air(OBJECT.shape, OBJECT.total_mass, [replace(felt, setup=each)]) for each in (setup, EXACT_SETUP)
+        shown_in_the_air(OBJECT.shape, OBJECT.total_mass, [replace(lift, setup=each)]) for each in (setup, EXACT_SETUP)
     )
     misses = [np.mean((values - rows @ OBJECT.truth.mass) ** 2) for rows, values in (stated, left_out)]
     assert misses[0] < 2.5 and misses[1] > 2 * misses[0]
 
 
 @pytest.mark.slow
-def test_what_is_no_lift_says_nothing_and_a_lift_is_nothing_to_others():
+def test_only_lifts_are_read_as_lifts_and_algorithm_1_ignores_them():
     obj = load_object("L2")
     table = trials_of(obj, rigid=True)
     assert not lifts_among(obj.shape, table)

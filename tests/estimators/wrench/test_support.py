@@ -42,31 +42,26 @@ def loads_of(support: str, obj: ObjectModel, load: GripperLoad, mass: Tensor | N
     return LOADS[support](ParticleModel.of(obj.shape), mass, load)
 
 
-def check_balance(obj: ObjectModel, load: GripperLoad, loads: Tensor) -> None:
-    """Raises where loads do not carry what weight, lift and moment leave to the feet."""
+def turned_links(*, balanced: bool) -> GripperLoad:
+    """Load of the gripper on OBJECT, whose groups from the third on have turned."""
+    still = carried(OBJECT)
+    turn = torch.arange(len(still.lift))[:, None] * 0.7
+    beyond = (ParticleModel.of(OBJECT.shape).mass_group > 1)[:, None]
+    return replace(still, lever=torch.where(beyond, rotate(turn, still.lever), still.lever), balanced=balanced)
+
+
+CARRIED = {f"object {seed}": (drawn_object(seed), carried(drawn_object(seed), seed)) for seed in range(3)}
+CARRIED |= {f"links, balanced {each}": (OBJECT, turned_links(balanced=each)) for each in (False, True)}
+
+
+@pytest.mark.parametrize("support", LOADS)
+@pytest.mark.parametrize("name", CARRIED)
+def test_loads_balance_weight_lift_and_moment(support, name):
+    obj, load = CARRIED[name]
+    loads = loads_of(support, obj, load)
     assert_allclose(loads.sum(-1), obj.total_mass * GRAVITY - load.lift)
     moment = np.einsum("kp,kpd->kd", loads.numpy() - GRAVITY * obj.particle_mass, load.lever)
     assert_allclose(moment, load.moment, atol=1e-12)
-
-
-@pytest.mark.parametrize("support", LOADS)
-@pytest.mark.parametrize("seed", range(3))
-def test_loads_balance_weight_lift_and_moment(support, seed):
-    obj = drawn_object(seed)
-    load = carried(obj, seed)
-    check_balance(obj, load, loads_of(support, obj, load))
-
-
-@pytest.mark.parametrize("balanced", [False, True], ids=["one tilt", "balanced"])
-@pytest.mark.parametrize("support", LOADS)
-def test_loads_balance_where_links_have_moved(support, balanced):
-    still = carried(OBJECT)
-    turn = torch.arange(len(still.lift)) * 0.7
-    beyond = (ParticleModel.of(OBJECT.shape).mass_group > 1)[:, None]
-    moved = replace(
-        still, lever=torch.where(beyond, rotate(turn[:, None], still.lever), still.lever), balanced=balanced
-    )
-    check_balance(OBJECT, moved, loads_of(support, OBJECT, moved))
 
 
 def test_own_weight_lightens_the_held_groups_and_no_other():
@@ -94,7 +89,7 @@ def test_a_rigid_body_on_a_line_of_feet_shares_its_weight_evenly():
     assert_allclose(loads_of("rigid", obj, none)[0], obj.total_mass * GRAVITY / 6)
 
 
-def test_one_rigid_body_carries_what_has_no_feet_by_either_name():
+def test_an_object_with_a_group_off_the_table_is_one_rigid_body_under_either_support():
     none = GripperLoad.none(ParticleModel.of(ONE_OFF_THE_TABLE.shape))
     loads = loads_of("rigid", ONE_OFF_THE_TABLE, none)
     assert_allclose(loads[:, torch.tensor(ONE_OFF_THE_TABLE.shape.friction_group < 0)], 0)
@@ -105,21 +100,15 @@ def test_one_rigid_body_carries_what_has_no_feet_by_either_name():
 
 
 @pytest.mark.parametrize("support", LOADS)
-def test_the_order_of_particles_changes_nothing(support):
+def test_loads_follow_their_particles_and_windows(support):
     load, model = carried(OBJECT), ParticleModel.of(OBJECT.shape)
+    together = loads_of(support, OBJECT, load)
     order = torch.tensor(np.random.default_rng(3).permutation(len(model.particles)))
     names = ("particles", "mass_group", "friction_group", "fill")
-    shuffled = replace(model, **{name: getattr(model, name)[order] for name in names})
-    loads = LOADS[support](
-        shuffled, torch.tensor(OBJECT.particle_mass)[order], replace(load, lever=load.lever[:, order])
-    )
-    assert_allclose(loads, loads_of(support, OBJECT, load)[:, order], atol=1e-12)
-
-
-@pytest.mark.parametrize("support", LOADS)
-def test_a_batch_is_its_windows_one_by_one(support):
-    load = carried(OBJECT)
-    together = loads_of(support, OBJECT, load)
+    permuted = replace(model, **{name: getattr(model, name)[order] for name in names})
+    mass = torch.tensor(OBJECT.particle_mass)[order]
+    loads = LOADS[support](permuted, mass, replace(load, lever=load.lever[:, order]))
+    assert_allclose(loads, together[:, order], atol=1e-12)
     for k in range(len(load.lift)):
         alone = replace(load, **{n: value[k : k + 1] for n, value in vars(load).items() if n != "balanced"})
         assert_allclose(loads_of(support, OBJECT, alone)[0], together[k], atol=1e-12)
@@ -148,8 +137,8 @@ OBJECTS = {
 }
 
 
-def loads(obj: ObjectModel) -> tuple[Springs, torch.Tensor, torch.Tensor]:
-    """Springs between the groups, and loads on own weight and under one rigid body."""
+def springs_of(obj: ObjectModel) -> tuple[Springs, Tensor, Tensor]:
+    """Springs between the groups, and loads on own weight and under one rigid body, N."""
     model = ParticleModel.of(obj.shape)
     own, rigid = (loads_of(support, obj, GripperLoad.none(model))[0] for support in ("own_weight", "rigid"))
     return Springs.of(model, obj.shape.neighbors), own, rigid
@@ -168,26 +157,26 @@ def stiffness(obj: ObjectModel, springs: Springs, share: float) -> float:
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_its_ends_are_own_weight_and_one_rigid_body(name):
-    springs, own, rigid = loads(OBJECTS[name])
+def test_springs_end_at_own_weight_and_one_rigid_body(name):
+    springs, own, rigid = springs_of(OBJECTS[name])
     assert_allclose(springs.joined(own, torch.tensor(0.0)), own, atol=1e-12)
     assert_allclose(springs.joined(own, torch.tensor(1.0)), rigid, atol=1e-10)
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("name", ["I2", "F2", "two frictions", "a foot each"])
-def test_between_them_loads_are_those_at_rest_in_simulation(name, share):
+def test_loads_of_springs_are_those_at_rest_in_simulation(name, share):
     obj = OBJECTS[name]
-    springs, own, _ = loads(obj)
+    springs, own, _ = springs_of(obj)
     expected = resting_loads(obj, Support(stiffness=stiffness(obj, springs, share)), ContactSettings())
     assert_allclose(springs.joined(own, torch.tensor(share, dtype=torch.float64)), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [-0.2, 0.0, 0.4, 1.0, 1.3])
 @pytest.mark.parametrize("name", OBJECTS)
-def test_the_weight_and_its_moments_stay_and_slopes_are_continuous(name, share):
+def test_springs_keep_weight_and_moments_and_have_continuous_slopes(name, share):
     obj = OBJECTS[name]
-    springs, own, _ = loads(obj)
+    springs, own, _ = springs_of(obj)
     at = torch.tensor(share, dtype=torch.float64)
     joined = springs.joined(own, at)
     basis = torch.cat([torch.ones(len(own), 1), torch.tensor(obj.shape.particles)], 1)
@@ -230,21 +219,6 @@ def test_the_object_level_parameters_are_those_of_the_object():
     assert_allclose(INERTIA.about_com, OBJECT.inertia_cm)
 
 
-@pytest.mark.parametrize(
-    ("velocity", "wrench", "grasp", "expected"),
-    [
-        ((0.1, 0.2, 1.0), (0, 0, 0), (0.02, 0.01), (0, 0, 0)),
-        ((0, 0, 0), (2.0, -1.0, 0.0), None, (2 / OBJECT.total_mass, -1 / OBJECT.total_mass, 0)),
-        ((0, 0, 0), (0, 0, 0.3), (0.05, 0.0), (0, 0, 0.3 / OBJECT.inertia_cm)),
-    ],
-    ids=["free", "push at c", "couple"],
-)
-def test_a_push_at_the_center_only_pushes_and_a_couple_only_turns(velocity, wrench, grasp, expected):
-    at = INERTIA.com if grasp is None else tensor(*grasp)
-    a = acceleration(MODEL, INERTIA, 0 * PARTICLE, tensor(0, 0, 0.7), tensor(*velocity), tensor(*wrench), at)
-    assert_allclose(a, expected, atol=1e-12)
-
-
 def test_friction_takes_power_and_turning_the_world_turns_the_answer():
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -270,21 +244,6 @@ def test_gradients_of_the_one_step_model_are_right():
 
     point = [each.clone().requires_grad_() for each in (MASS, FRICTION, velocity, pose)]
     assert torch.autograd.gradcheck(one, point)
-
-
-def test_a_sliding_object_of_one_friction_slows_by_mu_g_and_does_not_turn():
-    obj = load_object("L2")
-    model = ParticleModel.of(obj.shape)
-    particle = model.particle_mass(torch.tensor(obj.truth.mass))
-    drag = 0.5 * particle * GRAVITY
-    a = acceleration(model, inertia_of(model, particle), drag, STILL, tensor(0.3, -0.4, 0), STILL, STILL[:2])
-    assert_allclose(a, 0.5 * GRAVITY * np.array([-0.6, 0.8, 0.0]), atol=1e-9)
-
-
-def test_a_spin_about_the_center_of_mass_is_slowed_by_every_lever():
-    a = acceleration(MODEL, INERTIA, DRAG, STILL, tensor(0, 0, 5.0), STILL, INERTIA.com)
-    arm = torch.linalg.norm(MODEL.particles - INERTIA.com, dim=1)
-    assert_allclose(a[2], -(DRAG * arm).sum() / INERTIA.about_com, rtol=1e-6)
 
 
 def test_a_free_body_keeps_momentum_and_friction_takes_energy_in_every_step():

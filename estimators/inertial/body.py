@@ -1,4 +1,4 @@
-"""Inertial parameters of a rigid body, as numbers, as one linear vector, and as its pseudo-inertia."""
+"""Inertial parameters of a rigid body: numbers, vector of linear parameters, and pseudo-inertia."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ class InertialParameters:
 
     @property
     def vector(self) -> Float[np.ndarray, "10"]:
-        """m, m c, and the inertia about the origin: xx, xy, xz, yy, yz, zz; a wrench is linear in it."""
+        """Linear parameters of a wrench: m, m c, and the inertia about the origin as xx, xy, xz, yy, yz, zz."""
         about = self.inertia + self.mass * steiner(self.center_of_mass)
         return np.concatenate([[self.mass], self.mass * self.center_of_mass, [about[place] for place in _PLACES]])
 
     @property
     def consistent(self) -> bool:
-        """True if a body of positive density has these parameters: the pseudo-inertia is positive definite."""
+        """True if a body of positive density can have these parameters: the pseudo-inertia is positive definite."""
         return bool(np.linalg.eigvalsh(pseudo_inertia(self.vector))[0] > 0)
 
     def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> InertialParameters:
-        """The same body in axes that are `rotation` (columns) at an `origin` (m) of the present ones."""
+        """The same body in another frame, of axes `rotation` (columns) and `origin` (m) in the present one."""
         center = rotation.T @ (self.center_of_mass - origin)
         return InertialParameters(self.mass, center, rotation.T @ self.inertia @ rotation)
 
 
 def pseudo_inertia(vector: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
-    """[[Sigma, m c], [m c, m]] with the second moments Sigma = tr(I) / 2 - I (Wensing, Kim, Slotine 2018)."""
+    """Matrix [[Sigma, m c], [m c, m]], second moments Sigma = tr(I) / 2 - I (Wensing, Kim, Slotine 2018)."""
     about = _inertia(vector)
     whole = np.zeros((4, 4))
     whole[:3, :3] = np.trace(about) / 2 * np.eye(3) - about
@@ -92,5 +92,5 @@ def _inertia(vector: Float[np.ndarray, "10"]) -> Float[np.ndarray, "3 3"]:
 
 
 def steiner(c: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Inertia of a unit mass at c."""
+    """Inertia about the origin of a unit point mass at c."""
     return c @ c * np.eye(3) - np.outer(c, c)

@@ -19,16 +19,16 @@ from testbed.sensing.presets import Sensing
 from testbed.validation import freeze_arrays
 
 WALK_TERMS = 8
-"""Terms of the sensor's random walk; the rest of it has the variance of 2 / (pi^2 WALK_TERMS) of the whole."""
+"""Terms of the sensor's random walk; the others have 2 / (pi^2 WALK_TERMS) of its variance."""
 LEAST_NOISE = np.repeat([1e-6, 1e-7], 3)
-"""Least standard deviation of a wrench, N and N m: sensors without any noise too have weights."""
+"""Least standard deviation of a wrench, N and N m, for sensors without noise."""
 SLOW = 1.0, 1.0
 """Acceleration [m/s^2] and angular acceleration [rad/s^2] below which a body rests, for HPS as published."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldMotion:
-    """Motion of a held body and the wrench on it, T samples. Axes that move with it; moments about their origin."""
+    """Motion of a held body and the wrench on it, T samples, in axes fixed to it; moments about their origin."""
 
     time_s: Float[np.ndarray, "T"]
     """Time, s."""
@@ -37,7 +37,7 @@ class HeldMotion:
     rate: Float[np.ndarray, "T 3"]
     """Angular velocity, rad/s."""
     angular_acceleration: Float[np.ndarray, "T 3"]
-    """rad/s^2."""
+    """Angular acceleration, rad/s^2."""
     wrench: Float[np.ndarray, "T 6"]
     """Force and torque on the body, N and N m."""
 
@@ -51,19 +51,19 @@ class HeldMotion:
 
     @property
     def regressor(self) -> Float[np.ndarray, "T 6 10"]:
-        """Wrench of each inertial parameter alone."""
+        """Wrench per unit of each inertial parameter."""
         products = np.einsum("ti,tj->tij", self.rate, self.rate)
         return regressor(self.pull, self.angular_acceleration, products)
 
 
 @dataclass(frozen=True, eq=False)
 class InertialEquations:
-    """Equations of the ten inertial parameters, independent and of unit error, and what they were compressed from."""
+    """Ten independent equations of unit error of the ten inertial parameters, and the misfit of those compressed."""
 
     rows: Float[np.ndarray, "10 10"]
-    """Wrenches of unit error of each parameter alone."""
+    """Coefficients of the parameters."""
     values: Float[np.ndarray, "10"]
-    """Their measured values."""
+    """Measured values of the rows."""
     misfit: float
     """Squared residual over its variance, mean over degrees of freedom, at the best parameters."""
     freedom: int
@@ -71,13 +71,13 @@ class InertialEquations:
 
     @property
     def scale(self) -> Float[np.ndarray, "10"]:
-        """Length of the column of each parameter; 1 of one that no row has."""
+        """Norm of the column of each parameter; 1 for a column of zeros."""
         scale = np.linalg.norm(self.rows, axis=0)
         return np.where(scale > 0, scale, 1.0)
 
     @property
     def rank(self) -> int:
-        """Number of parameters that are seen, of ten."""
+        """Rank of the equations, at most ten."""
         strength = np.linalg.svd(self.rows / self.scale, compute_uv=False)
         return int((strength > 1e-6 * strength[0]).sum())
 
@@ -85,9 +85,9 @@ class InertialEquations:
 def regressor(
     pull: Float[np.ndarray, "T 3"], angular_acceleration: Float[np.ndarray, "T 3"], products: Float[np.ndarray, "T 3 3"]
 ) -> Float[np.ndarray, "T 6 10"]:
-    """Wrench of each inertial parameter alone (Atkeson, An, Hollerbach 1986).
+    """Wrench per unit of each inertial parameter (Atkeson, An, Hollerbach 1986).
 
-    It is linear in all three, so means go with means.
+    It is linear in all arguments, so that their means give the mean.
 
     Args:
         pull: acceleration of the origin less gravity, m/s^2.
@@ -106,15 +106,15 @@ def regressor(
 def inertial_equations(
     motion: HeldMotion, sensing: Sensing, *, block: int = 10, still_only: bool = False
 ) -> InertialEquations:
-    """Equations of a motion, weighed by what the sensor states: noise, one bias, and the walk of its zero.
+    """Equations of a motion, weighted by the sensor's noise, one bias, and the random walk of its zero.
 
-    Wrench and regressor are means over blocks, exact since one is linear in the other: noise of the accelerations,
-    which would pass for less inertia, averages out.
+    Wrench and regressor are averaged over blocks, which is exact, since the equations are linear: noise of the
+    accelerations, which biases the inertia downwards, averages out.
 
     Args:
         motion: motion of the body.
         sensing: errors of the sensor as stated.
-        block: samples of a block.
+        block: number of samples in a block.
         still_only: True leaves out blocks in which the body accelerates by more than `SLOW`.
 
     Raises:
@@ -143,13 +143,13 @@ def compressed(
     error: Float[np.ndarray, "6"],
     shared: Float[np.ndarray, "K 6 E"],
 ) -> InertialEquations:
-    """Equations of blocks with independent errors and errors that all share, as ten rows.
+    """Ten rows equivalent to equations of blocks with independent errors and errors that all blocks share.
 
     Args:
         rows: regressor of each block.
-        wrench: wrench of each, N and N m.
-        error: standard deviation of each component.
-        shared: effect on each axis of one standard deviation of its own shared errors.
+        wrench: wrench of each block, N and N m.
+        error: standard deviation of each component, N and N m.
+        shared: effect of one standard deviation of each of E shared errors per component, N and N m.
     """
     count, terms = len(wrench), shared.shape[2]
     effects = np.einsum("kae,ab->kabe", shared / error[:, None], np.eye(6)).reshape(6 * count, 6 * terms)
@@ -161,13 +161,13 @@ def compressed(
 def compressed_rows(
     rows: Float[np.ndarray, "R 10"], values: Float[np.ndarray, "R"], covariance: Float[np.ndarray, "R R"]
 ) -> InertialEquations:
-    """Equations of any rows whose errors have a covariance, as ten rows."""
+    """Ten rows equivalent to equations whose errors have a given covariance."""
     whole = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([rows, values]))
     return _as_ten_rows(whole, 0)
 
 
 def joined(equations: Sequence[InertialEquations]) -> InertialEquations:
-    """Equations of independent motions of one body, as ten rows."""
+    """Ten rows equivalent to the equations of independent motions of one body."""
     stacked = np.hstack(
         [np.vstack([e.rows for e in equations]), np.concatenate([e.values for e in equations])[:, None]]
     )
@@ -179,7 +179,7 @@ def joined(equations: Sequence[InertialEquations]) -> InertialEquations:
 
 
 def _as_ten_rows(whole: Float[np.ndarray, "R n"], nuisance: int) -> InertialEquations:
-    """Ten rows of whitened equations, their values in the last column, without so many first unknowns of unit prior."""
+    """Ten rows of whitened equations, with values in the last column, the first `nuisance` unknowns marginalized."""
     triangle = np.asarray(np.linalg.qr(whole, mode="r"))
     left = np.zeros((SIZE + 1, SIZE + 1))
     part = triangle[nuisance : nuisance + SIZE + 1, nuisance:]
@@ -191,7 +191,7 @@ def _as_ten_rows(whole: Float[np.ndarray, "R n"], nuisance: int) -> InertialEqua
 
 
 def _rests(motion: HeldMotion, count: int, block: int) -> Bool[np.ndarray, "K"]:
-    """True for blocks in which next to gravity alone acts."""
+    """True for blocks with accelerations below `SLOW`."""
     linear = np.abs(np.linalg.norm(_means(motion.pull[:count], block), axis=1) - GRAVITY)
     angular = np.linalg.norm(_means(motion.angular_acceleration[:count], block), axis=1)
     return (linear < SLOW[0]) & (angular < SLOW[1])
@@ -202,7 +202,7 @@ def _means(values: np.ndarray, block: int) -> np.ndarray:
 
 
 def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) -> Float[np.ndarray, "6"]:
-    """Error of each component of a wrench from one sample's noise of the accelerations, at the plain fit."""
+    """Error of each component of a wrench by one sample's noise of the accelerations, N and N m."""
     linear, angular = sensing.linear_acceleration_noise, sensing.angular_acceleration_noise
     if not (linear or angular):
         return np.zeros(6)
@@ -214,6 +214,6 @@ def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) 
 
 
 def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K n"]:
-    """Eigenfunctions of a random walk of 1 per second, each times its standard deviation (Karhunen, Loeve)."""
+    """Eigenfunctions of a random walk of variance 1 per second, times their standard deviations (Karhunen, Loeve)."""
     turns = (np.arange(WALK_TERMS) + 0.5) * np.pi
     return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)

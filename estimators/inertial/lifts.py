@@ -19,21 +19,21 @@ from testbed.sensing.lift_windows import LiftWindow
 from testbed.trajectory import Trajectory
 
 ROUNDS = 2
-"""Rounds of solving for the parameters by which the errors are weighed."""
+"""Rounds of solving for the parameters with which the errors scale."""
 
 
 def lift_equations(
     shape: ObjectShape, trajectories: Sequence[Trajectory], errors: LiftErrors | None = None
 ) -> InertialEquations:
-    """Equations of all lifts among some trajectories: object frame, z from the object's bottom.
+    """Equations of all lifts among some trajectories, in the object frame with z from the object's bottom.
 
-    Every window is weighed by its own noise, with the bias of its tare and the walk of the sensor's zero shared by the
+    Every window is weighted by its own noise; the bias of the tare and the walk of the sensor's zero are shared by the
     windows of a lift.
 
     Args:
-        shape: geometry; of its groups, how far they may be from their stated places, as the setup states it.
-        trajectories: lifts that ended well are read, all others left out.
-        errors: errors of what is taken as known; that of `height` is not used, as the height is an answer.
+        shape: geometry.
+        trajectories: trials; all but lifts that ended well are left out.
+        errors: errors of quantities assumed known; `height` is not used, since the height is estimated.
 
     Raises:
         InvalidValueError: no lift, or a grasp that the shape does not have.
@@ -58,13 +58,15 @@ def lift_equations(
 def _equations(
     shape: ObjectShape, trials: Sequence[Sequence[LiftWindow]], body: Float[np.ndarray, "10"], errors: LiftErrors
 ) -> InertialEquations:
-    """Equations of all trials, their errors weighed by some parameters."""
+    """Equations of all trials, with errors at the parameters `body`."""
     found, size = [], shape.per_group(np.ones(len(shape.particles)))
     for windows in trials:
         air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
         sizes = stated_sizes(windows[0].setup, ("air", "reading"), trials=len(trials)) | errors.sizes(errors.sag)
         _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
-        if offset := windows[0].setup.particle_offset * len(trials) ** 0.5:  # of groups with as much mass as size
+        if (
+            offset := windows[0].setup.particle_offset * len(trials) ** 0.5
+        ):  # for groups of masses in proportion to size
             slopes["parts"] = slopes["place"][..., :2]
             sizes["parts"] = torch.full((2,), offset * float(np.linalg.norm(size / size.sum())))
         covariance = lift_covariance(shape, windows, slopes, sizes, errors, float(body[0]))

@@ -1,4 +1,4 @@
-"""Masses of an object's parts: of one density each (HPS: Nadeau, Giamou, Kelly 2023), and ranges of any density."""
+"""Masses of an object's parts: for one density each (HPS: Nadeau, Giamou, Kelly 2023), and ranges for any density."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from scipy.stats import chi2
 from estimators.inertial.body import InertialParameters
 from estimators.inertial.equations import InertialEquations
 from estimators.inertial.estimate import InertialEstimate, drawn_values
-from estimators.inertial.semidefinite import CONES, least
+from estimators.inertial.semidefinite import CONES, minimizer
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 
 MOST_PARTS = 4
-"""Parts that still poses distinguish: they show M and M c."""
+"""Largest number of parts that still poses distinguish, which show M and M c."""
 LEVELS = 3
-"""Heights at which the mass of a cell may lie, from the object's bottom to its top."""
+"""Number of heights at which the mass of a cell may lie, from the object's bottom to its top."""
 
 
 def homogeneous_parts(
     equations: InertialEquations, parts: Sequence[InertialParameters], seed: int = 0
 ) -> InertialEstimate:
-    """Masses of parts of one density each, none negative, and the inertial parameters that they make.
+    """Non-negative masses of parts of one density each, and the inertial parameters of the whole.
 
-    The published method takes the equations of still poses alone and at most four parts; those of motions show more.
+    The published method uses equations of still poses and at most four parts; equations of motions distinguish more.
 
     Args:
         equations: equations of the whole body.
-        parts: parameters of each part, its mass not counting, in the axes of the equations.
+        parts: parameters of each part in the axes of the equations, of any mass.
         seed: seed of the draws.
 
     Raises:
@@ -46,7 +46,7 @@ def homogeneous_parts(
         raise InvalidValueError("parts", len(parts), allowed)
     best = nnls(rows / size, equations.values)[0] / size
     left = equations.values - rows @ best
-    # no draw of the noise, but parts that are not so
+    # a residual of parts that are not homogeneous, not of noise
     of_parts = float(left @ left) / max(equations.rank - len(parts), 1)
     masses = np.array([nnls(rows / size, each)[0] / size for each in drawn_values(equations, seed, of_parts)])
     return InertialEstimate(
@@ -61,14 +61,14 @@ def homogeneous_parts(
 def part_ranges(
     equations: InertialEquations, places: Float[np.ndarray, "P 3"], part: Int[np.ndarray, "P"], level: float = 0.9
 ) -> Float[np.ndarray, "n 2"]:
-    """Least and most mass of each part, kg, whatever its density, by its profile likelihood (a cone program).
+    """Least and greatest mass of each part, kg, for any density, by its profile likelihood (a cone program).
 
-    Where the motion shows a part's mass, this is its interval of probability `level`; else all that no motion excludes.
+    An interval of probability `level` where the motion shows a part's mass; else all masses that it does not exclude.
 
     Args:
         equations: equations of the whole body.
-        places: places where mass may lie, m, in the axes of the equations.
-        part: part of each place, counted from 0.
+        places: points at which mass may lie, m, in the axes of the equations.
+        part: index of each point's part.
         level: probability.
 
     Raises:
@@ -90,12 +90,14 @@ def part_ranges(
     for index in range(len(found)):
         for end, sign in enumerate((1.0, -1.0)):
             program = quadratic, sign * (part == index), constraints, bound, cones
-            found[index, end] = scale / size * float(least("part_ranges: the cone program", *program) @ (part == index))
+            found[index, end] = (
+                scale / size * float(minimizer("part_ranges: the cone program", *program) @ (part == index))
+            )
     return found
 
 
 def places_of(shape: ObjectShape) -> tuple[Float[np.ndarray, "P 3"], Int[np.ndarray, "P"]]:
-    """Places where an object may hold mass, m, object frame, and the mass group of each: the corners of its cells."""
+    """Points at which an object's mass may lie, the corners of its cells, m, object frame, and their mass groups."""
     inside = shape.fill > 0
     half = shape.cell / 2
     corners = np.array([[x, y] for x in (-half, half) for y in (-half, half)])

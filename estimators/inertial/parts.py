@@ -12,7 +12,7 @@ from testbed.objects.model import ObjectModel, ObjectShape, Solid
 
 
 def column_parts(shape: ObjectShape) -> tuple[InertialParameters, ...]:
-    """Every mass group as upright columns of its cells' material, 1 kg each."""
+    """Parameters of every mass group as upright columns of its cells' material, 1 kg each."""
     sides = np.array([shape.cell, shape.cell, shape.height])
     own = np.diag((sides**2).sum() - sides**2) / 12
     parts = []
@@ -25,7 +25,7 @@ def column_parts(shape: ObjectShape) -> tuple[InertialParameters, ...]:
 
 
 def solid_parts(solids: Sequence[Solid]) -> tuple[InertialParameters, ...]:
-    """Every solid, of its own mass."""
+    """Parameters of every solid, of its own mass."""
     return tuple(_of_solid(solid) for solid in solids)
 
 
@@ -43,7 +43,7 @@ def ellipsoid_of(shape: ObjectShape) -> Ellipsoid:
 
 
 def _of_solid(solid: Solid) -> InertialParameters:
-    """Sum over tetrahedra from the origin to each triangle: int x x^T = v (sum_i x_i x_i^T + s s^T) / 20."""
+    """Parameters of a solid, by tetrahedra from the origin: int x x^T = v (sum_i x_i x_i^T + s s^T) / 20."""
     corners = solid.vertices[solid.faces]
     volume = np.linalg.det(corners) / 6 * solid.mass / solid.volume
     sums = corners.sum(axis=1)

@@ -1,4 +1,4 @@
-"""Payload of a robot's flange, in the forms that robots' controllers take."""
+"""Payload of a robot's flange, in the formats of robots' controllers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from testbed.trajectory import Trajectory
 
 LEVEL = 0.9
 """Probability of an interval."""
-UNSURE = 0.5
-"""Half width of an interval, over the value, from which a moment of inertia counts as not determined. Ours."""
+UNDETERMINED = 0.5
+"""Half width of an interval, relative to the value, above which a moment of inertia is not determined. Ours."""
 _ORDER = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 """Entries of an inertia in the order of UR's controllers: xx, yy, zz, xy, xz, yz."""
 
@@ -34,17 +34,17 @@ class Payload:
     """Mass, center of mass and inertia of a flange's payload, flange frame."""
 
     parameters: InertialParameters
-    """The best body of positive density; its inertia is NaN where nothing shows it."""
+    """Most likely body of positive density; its inertia is NaN where it is not observed."""
     draws: tuple[InertialParameters, ...]
-    """Bodies as likely as the data make them."""
+    """Draws of the body from its posterior."""
     grasp: str = ""
-    """Grasp by which it is held; empty where it is not an object's."""
+    """Name of the grasp; empty where the payload is no object."""
 
     @staticmethod
     def of_lifts(
         shape: ObjectShape, trajectories: Sequence[Trajectory], *, with_tool: bool = False, grasp: str | None = None
     ) -> Payload:
-        """Payload of an object from its lifts, in the sensor's frame of the first of them by one grasp.
+        """Payload of an object from its lifts, in the sensor's frame of the first lift by the grasp.
 
         Args:
             shape: geometry.
@@ -81,7 +81,7 @@ class Payload:
 
     @staticmethod
     def of_poses(calibration: Calibration) -> Payload:
-        """Payload of all that hangs below a sensor, from still poses, which show no inertia: sensor frame."""
+        """Payload of all mass below a sensor, sensor frame, from still poses, which show no inertia."""
         rng, unknown = np.random.default_rng(0), np.full((3, 3), np.nan)
         mass = rng.normal(calibration.mass, calibration.mass_std, DRAWS)
         center = rng.normal(calibration.com, calibration.com_std, (DRAWS, 3))
@@ -89,7 +89,7 @@ class Payload:
         return Payload(InertialParameters(calibration.mass, calibration.com, unknown), drawn)
 
     def on_flange(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> Payload:
-        """The payload in a frame in which the present one has axes `rotation` (columns) and an `origin`, m."""
+        """The payload in another frame, in which the present one has axes `rotation` (columns) and `origin` (m)."""
         into = rotation.T, -rotation.T @ origin
         return replace(self, parameters=self.parameters.moved(*into), draws=tuple(d.moved(*into) for d in self.draws))
 
@@ -100,13 +100,13 @@ class Payload:
 
     @property
     def undetermined(self) -> list[str]:
-        """Moments of inertia that are known no better than by half, or that nothing shows."""
+        """Names of the moments of inertia whose relative error is above `UNDETERMINED` or unknown."""
         value, half = np.diag(self.parameters.inertia), np.diff(self.interval("inertia"), axis=0)[0].diagonal() / 2
-        return [f"I{axis}{axis}" for axis, v, h in zip("xyz", value, half, strict=True) if not h < UNSURE * v]
+        return [f"I{axis}{axis}" for axis, v, h in zip("xyz", value, half, strict=True) if not h < UNDETERMINED * v]
 
 
 def as_json(payload: Payload) -> str:
-    """All numbers with their intervals; null for what nothing shows."""
+    """All numbers with their intervals as JSON; null for those that are not observed."""
     body, units = payload.parameters, {"mass": "kg", "center_of_mass": "m", "inertia": "kg_m2"}
     table: dict[str, object] = {"frame": "flange; inertia about the center of mass, along the flange's axes"}
     for name, unit in units.items():
@@ -123,13 +123,13 @@ def _plain(value: list | float) -> list | float | None:
 def as_franka(payload: Payload) -> str:
     """Arguments of libfranka's `Robot::setLoad` and of the ROS 2 service SetLoad: the inertia column by column."""
     body = payload.parameters
-    inertia = np.nan_to_num(body.inertia).flatten(order="F").tolist()  # of a point where nothing shows any
+    inertia = np.nan_to_num(body.inertia).flatten(order="F").tolist()  # that of a point where it is not observed
     table = {"mass": body.mass, "center_of_mass": body.center_of_mass.tolist(), "load_inertia": inertia}
     return json.dumps(table, indent=1) + "\n"
 
 
 def as_ur(payload: Payload) -> str:
-    """Line of URScript: set_target_payload with mass, center and, where it is known, the inertia."""
+    """Line of URScript: set_target_payload with mass, center and, where it is observed, the inertia."""
     body, lists = payload.parameters, [payload.parameters.center_of_mass]
     if np.isfinite(body.inertia).all():
         lists.append(body.inertia[_ORDER])
@@ -138,10 +138,10 @@ def as_ur(payload: Payload) -> str:
 
 
 def as_kortex(payload: Payload) -> str:
-    """Mass and center of a Kortex `ToolConfiguration`, as protobuf's JSON; it has no inertia."""
+    """Mass and center of a Kortex `ToolConfiguration`, which has no inertia, as protobuf's JSON."""
     center = dict(zip("xyz", payload.parameters.center_of_mass.tolist(), strict=True))
     return json.dumps({"tool_mass": payload.parameters.mass, "tool_mass_center": center}, indent=1) + "\n"
 
 
 FORMATS: dict[str, Callable[[Payload], str]] = {"json": as_json, "franka": as_franka, "ur": as_ur, "kortex": as_kortex}
-"""Forms of a payload, by the robot whose controller takes it."""
+"""Writers of a payload by format name."""

@@ -17,19 +17,19 @@ from estimators.inertial.estimate import InertialEstimate, drawn_values
 from testbed.errors import HeftError
 from testbed.validation import freeze_arrays
 
-CONES: Any = clarabel  # it comes without types
-ABOUT = 0.1
-"""Size of a body of which nothing is stated, m: it scales the program, and bounds nothing."""
+CONES: Any = clarabel  # untyped
+TYPICAL_SIZE = 0.1
+"""Assumed half size of a body without an ellipsoid, m; it scales the program without bounding the body."""
 _TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
 """Entries of a symmetric 4 x 4 matrix as the solver counts them: the upper triangle, column by column."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """Ellipsoid along the axes of the body that holds all of it."""
+    """Ellipsoid along the axes of a body that contains all of it."""
 
     center: Float[np.ndarray, "3"]
-    """m."""
+    """Center, m."""
     half: Float[np.ndarray, "3"]
     """Half axes, m."""
 
@@ -38,20 +38,20 @@ class Ellipsoid:
 
     @staticmethod
     def around(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Ellipsoid:
-        """The smallest one around a box from `low` to `high`, m."""
+        """Smallest ellipsoid around a box from `low` to `high`, m."""
         return Ellipsoid((low + high) / 2, np.maximum(high - low, 1e-4) / 2 * math.sqrt(3))
 
 
 def consistent_inertia(
     equations: InertialEquations, within: Ellipsoid | None = None, seed: int = 0
 ) -> InertialEstimate:
-    """The best parameters that a body of positive density has, and one that lies `within` an ellipsoid.
+    """Least-squares parameters of a body of positive density that lies `within` an ellipsoid.
 
-    Draws are the best such parameters for values as they might have come out: at a bound they lie on it.
+    Draws are such parameters for draws of the equations' values; where a bound is active they lie on it.
 
     Args:
         equations: equations of the body.
-        within: ellipsoid that holds the body; None leaves it out.
+        within: ellipsoid that contains the body; None for no bound.
         seed: seed of the draws.
 
     Raises:
@@ -66,13 +66,13 @@ def consistent_inertia(
 
 
 class _Program:
-    """min |R (x - x_0)|^2 with P(x) positive semidefinite, in the entries of P about the body's middle."""
+    """Program min |R (x - x_0)|^2 with P(x) positive semidefinite, in the entries of P about the body's middle."""
 
     def __init__(self, equations: InertialEquations, within: Ellipsoid | None):
         fit = np.linalg.lstsq(equations.rows, equations.values, rcond=1e-9)[0]
         self.mass = max(abs(float(fit[0])), 1e-6)
-        center, half = (within.center, within.half) if within else (fit[1:4] / self.mass, np.full(3, ABOUT))
-        about = np.eye(4)  # a congruence: it changes no sign
+        center, half = (within.center, within.half) if within else (fit[1:4] / self.mass, np.full(3, TYPICAL_SIZE))
+        about = np.eye(4)  # a congruence, which keeps definiteness
         about[:3, :3], about[:3, 3] = np.diag(1 / half), -center / half
         parts = [about @ pseudo_inertia(one) @ about.T for one in np.eye(SIZE)]
         entries = np.array([[(2**0.5 if i != j else 1.0) * part[i, j] for part in parts] for i, j in _TRIANGLE])
@@ -88,7 +88,7 @@ class _Program:
         self.quadratic = sparse.csc_matrix(np.triu(self.rows.T @ self.rows))
 
     def nearest(self, plain: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10"]:
-        """The consistent parameters that fit best, from those that fit best without a bound."""
+        """Least-squares consistent parameters, from the unbounded least-squares parameters `plain`."""
         start = self.entries @ plain
         whole = np.zeros((4, 4))
         for value, (i, j) in zip(start, _TRIANGLE, strict=True):
@@ -97,11 +97,11 @@ class _Program:
             return plain
         linear = -self.rows.T @ (self.rows @ start)
         program = self.quadratic, linear, sparse.csc_matrix(-self.bounds), np.zeros(len(self.bounds)), self.cones
-        return np.linalg.solve(self.entries, least("consistent_inertia: the semidefinite program", *program))
+        return np.linalg.solve(self.entries, minimizer("consistent_inertia: the semidefinite program", *program))
 
 
-def least(name: str, *program: Any) -> np.ndarray:
-    """Point of least value of a program: quadratic and linear terms, matrix, bounds and cones, as clarabel takes them.
+def minimizer(name: str, *program: Any) -> np.ndarray:
+    """Minimizer of a program: quadratic and linear terms, matrix, bounds and cones, as arguments of clarabel.
 
     Raises:
         HeftError: the solver finds no solution.

@@ -40,6 +40,7 @@ from testbed.robot.calibration.static_poses import Calibration
 from testbed.simulation.settings import GripSettings, SimulationSettings
 from tests.fakes.lifted_world import lifted
 from tests.helpers.blocks import blocks
+from tests.helpers.commands import refusal
 from tests.helpers.simulated import put_trial
 
 FT300S, IDEAL = preset("ft300s"), preset("ideal")
@@ -121,7 +122,7 @@ def test_without_noise_every_method_finds_the_truth():
     assert_allclose(by_parts.parameters.vector, whole.vector, atol=1e-9)
 
 
-def test_still_poses_show_mass_and_center_alone_and_it_says_so():
+def test_still_poses_show_mass_and_center_alone_and_the_message_says_so():
     _, _, whole = body()
     found = least_squares_inertia(inertial_equations(motion(whole, still=True), FT300S))
     assert_allclose(found.parameters.mass, whole.mass, atol=0.02)
@@ -219,7 +220,7 @@ def test_a_solid_turns_as_its_box():
 
 @pytest.mark.slow
 def test_nine_in_ten_intervals_hold_from_lifts():
-    """Bias, noise and an offset in the grip, drawn as told."""
+    """Bias, noise and an offset in the grip, drawn by their stated standard deviations."""
     rng, truth, hold, inside = np.random.default_rng(0), true_body(OBJECT), [], []
     for seed in range(20):
         offset = rng.standard_normal(3) * [5e-4, 5e-4, 1e-3]
@@ -260,8 +261,8 @@ def in_sensor(trajectory: Trajectory) -> InertialParameters:
     flat = np.flatnonzero(trajectory.mask(Phase.SETTLE))[-1]
     axes = rotation_matrix(trajectory.sensor_orientation)[flat].T @ rotation_z(float(trajectory.object_pose[flat, 2]))
     assert trajectory.tool is not None
-    lies = np.append(trajectory.object_pose[flat, :2], 0.0)
-    lever = rotation_matrix(trajectory.sensor_orientation)[flat].T @ (lies - trajectory.tcp_position[flat])
+    place = np.append(trajectory.object_pose[flat, :2], 0.0)
+    lever = rotation_matrix(trajectory.sensor_orientation)[flat].T @ (place - trajectory.tcp_position[flat])
     corner = lever + trajectory.tool.tcp
     return true_body(L2).moved(axes.T, -axes.T @ corner)
 
@@ -281,25 +282,50 @@ def test_a_lift_gives_the_object_in_the_sensors_frame(lift):
 
 def test_a_lift_without_a_tare_is_left_out(lift):
     no_tare = replace(lift, phase=np.where(lift.mask(Phase.TARE), Phase.APPROACH, lift.phase))
-    found, usual = (Payload.of_lifts(L2.shape, lifts).parameters for lifts in ([no_tare, lift], [lift]))
-    assert np.array_equal(found.vector, usual.vector)
+    found, usual = (Payload.of_lifts(L2.shape, lifts) for lifts in ([no_tare, lift], [lift]))
+    assert np.array_equal(found.parameters.vector, usual.parameters.vector)
+    assert usual.on_flange(np.eye(3), np.zeros(3)).grasp == "A2"
 
 
-def test_one_grasp_decides_the_frame(lift):
-    other = replace(lift, action=replace(lift.action, grasp=1))
-    with pytest.raises(InvalidValueError, match="grasp: got None; allowed: C1, A2: a grasp of the lifts"):
-        Payload.of_lifts(L2.shape, [other, lift])
-    with pytest.raises(InvalidValueError, match="grasp: got 'B9'; allowed: A2: a grasp of the lifts"):
-        Payload.of_lifts(L2.shape, [lift], grasp="B9")
-    assert Payload.of_lifts(L2.shape, [lift]).on_flange(np.eye(3), np.zeros(3)).grasp == "A2"
+def by_c1(lift: Trajectory) -> Trajectory:
+    """The lift by another grasp."""
+    return replace(lift, action=replace(lift.action, grasp=1))
+
+
+STILL = inertial_equations(motion(body()[2], still=True), IDEAL)
+ONE_LIFT = "one or more lifts that ended well"
+
+
+@pytest.mark.parametrize(
+    ("call", "field", "said"),
+    [
+        (lambda _: homogeneous_parts(STILL, [*body()[0], *body(seed=5)[0]]), "parts", "at most 4"),
+        (lambda _: homogeneous_parts(STILL, []), "parts", "got 0; allowed: one or more"),
+        (lambda _: lift_equations(OBJECT.shape, []), "trajectories", f"no lift.*{ONE_LIFT}"),
+        (lambda _: Payload.of_lifts(L2.shape, []), "trajectories", ONE_LIFT),
+        (
+            lambda lift: Payload.of_lifts(L2.shape, [by_c1(lift), lift]),
+            "grasp",
+            "None; allowed: C1, A2: a grasp of the",
+        ),
+        (
+            lambda lift: Payload.of_lifts(L2.shape, [lift], grasp="B9"),
+            "grasp",
+            "'B9'; allowed: A2: a grasp of the lifts",
+        ),
+    ],
+)
+def test_refusals(lift, call: Callable[[Trajectory], object], field: str, said: str):
+    with pytest.raises(InvalidValueError, match=f"^{field}: .*{said}"):
+        call(lift)
 
 
 def test_a_payload_is_of_the_grasp_named(tmp_path, capsys):
+    (tmp_path / "trials").mkdir()
+    assert "a folder with lifts" in refusal(capsys, "payload", str(tmp_path))
     for grasp in (1, 2):
         put_trial(tmp_path, "L2", Lift(grasp), RIGID, SimulationSettings(grip=GripSettings(mode="weld")))
-    with pytest.raises(SystemExit):
-        main(["payload", str(tmp_path)])
-    assert "grasp: got None; allowed: " in capsys.readouterr().err
+    assert "grasp: got None; allowed: " in refusal(capsys, "payload", str(tmp_path))
     for name in ("C1", "A2"):
         main(["payload", str(tmp_path), "--grasp", name])
         assert f"held by grasp {name}" in capsys.readouterr().out
@@ -329,11 +355,8 @@ def test_forms_of_controllers():
     matrix, center = "[0.004, 0.005, 0.006, 0.0001, 0.0002, 0.0003]", "[0.01, 0.02, 0.03]"
     assert as_ur(payload) == f"set_target_payload(1.5, {center}, {matrix})\n"
     columns = pytest.approx(inertia.flatten(order="F"))
-    assert json.loads(as_franka(payload)) == {
-        "mass": 1.5,
-        "center_of_mass": json.loads(center),
-        "load_inertia": columns,
-    }
+    franka = {"mass": 1.5, "center_of_mass": json.loads(center), "load_inertia": columns}
+    assert json.loads(as_franka(payload)) == franka
     assert json.loads(as_kortex(payload)) == {"tool_mass": 1.5, "tool_mass_center": {"x": 0.01, "y": 0.02, "z": 0.03}}
     assert json.loads(as_json(payload))["inertia_90_kg_m2"] == [inertia.tolist()] * 2
 
@@ -348,26 +371,3 @@ def test_a_calibration_shows_no_inertia(tmp_path: Path, capsys):
     assert written["center_of_mass_m"] == [0.0, 0.01, 0.06]
     main(["payload", str(tmp_path / "c.toml"), "--format", "ur", "--flange", "0", "0", "0.0127", "0"])
     assert "set_target_payload(1.2, [0, 0.01, 0.0727])\n" in capsys.readouterr().out
-
-
-def test_a_folder_without_lifts_has_no_payload(tmp_path: Path):
-    (tmp_path / "trials").mkdir()
-    with pytest.raises(SystemExit):
-        main(["payload", str(tmp_path)])
-
-
-STILL = inertial_equations(motion(body()[2], still=True), IDEAL)
-
-
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: homogeneous_parts(STILL, [*body()[0], *body(seed=5)[0]]), "at most 4"),
-        (lambda: homogeneous_parts(STILL, []), "parts"),
-        (lambda: lift_equations(OBJECT.shape, []), "no lift"),
-        (lambda: Payload.of_lifts(L2.shape, []), "one or more lifts that ended well"),
-    ],
-)
-def test_parts_that_cannot_be_told_apart_and_no_lifts_are_refused(call: Callable[[], object], said: str):
-    with pytest.raises(InvalidValueError, match=said):
-        call()

@@ -1,4 +1,4 @@
-"""Forward model of an object on the table, and of the scale, against true flaws of a setup; their effect on answers."""
+"""Forward model of an object on the table and of the scale against true errors of a setup, and estimates under them."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from estimators.testing.analytic_world import accelerated, analytic_trial, drawn
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.table import Table
-from testbed import GRAVITY, Accelerate, ObjectModel, Push, Rotate, Slide, Trajectory, faces, preset
+from testbed import GRAVITY, Accelerate, MassDistribution, ObjectModel, Push, Rotate, Slide, Trajectory, faces, preset
 from testbed.sensing.compensation import SIDEWAYS
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
@@ -30,15 +30,11 @@ from tests.helpers.answers import ask, claimed, trials_of, true_values, windows_
 OBJECT, CHAIN = drawn_object(0), drawn_chain(1)
 BESIDE, BETWEEN = (0.01, 0.015), np.array([0.004, 0.003])
 # grasped between particles: the drag of one at the center of a turn has no derivative
-APART = replace(
-    OBJECT,
-    shape=replace(OBJECT.shape, grasps=tuple(replace(g, position=g.position + BETWEEN) for g in OBJECT.shape.grasps)),
-)
+GRASPS = tuple(replace(grasp, position=grasp.position + BETWEEN) for grasp in OBJECT.shape.grasps)
+APART = replace(OBJECT, shape=replace(OBJECT.shape, grasps=GRASPS))
 CENTERS, PUSHES = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), [Push.into(face) for face in faces(OBJECT.shape)]
 DRAG = Slide(0, np.pi / 2, duration=2.5)
 SHARP = replace(EXACT, weight_error=1e-9)
-
-
 KINDS = {
     "turns": lambda: turns(OBJECT),
     "slides": lambda: [analytic_trial(OBJECT, Slide(0, 0.3))],
@@ -151,6 +147,20 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
     assert_allclose(found, wrench - even, atol=2e-3 * np.abs(wrench - even).max())
 
 
+def predicted_windows(trials: list[Trajectory], errors: ModelErrors, **off: torch.Tensor) -> TrialWindows:
+    """Windows that show what the forward model predicts of the truth and of some errors of the setup."""
+    on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials), "own_weight", errors)
+    predicted = on_table.predicting(true_values(OBJECT) | off).windows
+    return TrialWindows.about(OBJECT.shape, OBJECT.total_mass, predicted, errors)
+
+
+def solved(windows: TrialWindows, guess: MassDistribution) -> Solution:
+    """One round of Algorithm 1."""
+    solution = algorithm_1(windows, guess, lambda system: (closed_form(system), ()))
+    assert isinstance(solution, Solution)
+    return solution
+
+
 @pytest.mark.parametrize(
     ("trials", "rounds"),
     [
@@ -162,27 +172,20 @@ def test_friction_that_differs_by_direction_is_that_of_the_ellipse(part):
     ],
 )
 def test_masses_come_back_from_predicted_wrenches(trials, rounds):
-    on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials()), "own_weight", SHARP)
-    measured = on_table.predicting(true_values(OBJECT)).windows
-    found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, measured, SHARP)
+    found = predicted_windows(trials(), SHARP)
     guess = found.first_guess()
     for _ in range(rounds):
-        solution = algorithm_1(found, guess, lambda system: (closed_form(system), ()))
-        assert isinstance(solution, Solution)
-        guess = solution.masses.distribution
+        guess = solved(found, guess).masses.distribution
     assert_allclose(guess.mass, OBJECT.truth.mass, rtol=1e-8)
 
 
 def test_masses_come_back_through_an_error_in_which_the_wrench_is_not_linear():
     setup, off = SetupErrors(anisotropy=0.2), {"anisotropy": torch.tensor([0.2, -0.1], dtype=torch.float64)}
     trials = [replace(trial, setup=setup) for trial in turns(OBJECT, noise=0.02)]
-    on_table = OnTable.of(OBJECT.shape, windows_of(OBJECT, trials), "own_weight", ModelErrors())
-    windows = on_table.predicting(true_values(OBJECT) | off).windows
-    found = TrialWindows.about(OBJECT.shape, OBJECT.total_mass, windows, ModelErrors())
+    found = predicted_windows(trials, ModelErrors(), **off)
     guess = found.first_guess()
     for _ in range(4):
-        solution = algorithm_1(found, guess, lambda system: (closed_form(system), ()))
-        assert isinstance(solution, Solution)
+        solution = solved(found, guess)
         found, guess = found.about_errors(guess, solution.H.friction_load), solution.masses.distribution
     assert found.off is not None
     assert_allclose(found.off["anisotropy"], off["anisotropy"], rtol=1e-3)
@@ -217,7 +220,7 @@ TURNED = [
 ]
 
 
-def test_a_record_that_is_given_again_counts_once():
+def test_a_repeated_record_counts_once():
     trials = turns(OBJECT)
     again = [*trials, replace(trials[0], reason="again"), *trials]
     assert torch.equal(windows_of(OBJECT, again).wrench, windows_of(OBJECT, trials).wrench)
@@ -226,11 +229,10 @@ def test_a_record_that_is_given_again_counts_once():
 
 
 def test_windows_belong_to_their_caller():
-    trials = turns(OBJECT, [0])
-    first = windows_of(OBJECT, trials)
+    first = windows_of(OBJECT, trials := turns(OBJECT, [0]))
     before = first.wrench.clone()
     first.wrench.mul_(2.0)
-    assert_allclose(windows_of(OBJECT, trials).wrench, before, rtol=0)
+    assert torch.equal(windows_of(OBJECT, trials).wrench, before)
 
 
 def change(trials, setup=EXACT_SETUP, **errors):

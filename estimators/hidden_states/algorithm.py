@@ -1,8 +1,8 @@
 """Algorithm 1 of the paper: the hidden states H = [M, I_cm, c, s], and from them mass m and friction mu.
 
 The names are the paper's: I_j is the moment of inertia about pivot j, c the center of mass, s = mu m g the friction
-loads of the groups G_s, and Q s = b the friction system. One thing stands elsewhere than in the paper: Q and b are
-taken about the grasp point, where they need no c, and s comes before I_j, whose slopes are of torques less friction.
+loads of the groups G_s, and Q s = b the friction system. The order differs from the paper's: Q and b are about the
+grasp point, where they do not need c, and s precedes I_j, the slopes of torques less friction.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Solution:
     masses: MassSolution
     """m and mu."""
     traces: tuple[Trace, ...]
-    """One a run of an optimizer of s."""
+    """Trace of each optimizer of s."""
 
 
 def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver) -> Solution | LinearSystem:
@@ -45,7 +45,7 @@ def algorithm_1(trials: TrialWindows, guess: MassDistribution, solve: LoadSolver
 
     Args:
         trials: steady and accelerated windows, M and the groups G_s.
-        guess: mass and friction about which the rows are linear; they scale their errors and the gripper's load.
+        guess: mass and friction about which the rows are linearized; errors and the gripper's load scale with them.
         solve: minimizer of Eq. problem_si.
     """
     M, groups, n_s = trials.weight, trials.groups.pairs, len(trials.groups.pairs)

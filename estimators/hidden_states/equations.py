@@ -35,7 +35,7 @@ class LinearSystem:
     q: Float[Tensor, "R n_s"]
     b: Float[Tensor, "R"]
     whiten: Float[Tensor, "R R"]
-    """Inverse root of the rows' covariance, which whitened them."""
+    """Inverse root of the rows' covariance."""
 
     @property
     def rank(self) -> int:
@@ -43,7 +43,7 @@ class LinearSystem:
         return rank_of(self.q.numpy())
 
     def loss(self, s: Float[np.ndarray, "n_s"]) -> float:
-        """Mean squared residual, Eq. problem_si in units of the data's own error."""
+        """Mean squared residual, Eq. problem_si in units of the errors."""
         return float((self.q @ torch.tensor(s) - self.b).square().mean())
 
     def misfit(self, s: Float[np.ndarray, "n_s"]) -> Misfit:
@@ -59,7 +59,7 @@ class FrictionEquations:
     q: Float[Tensor, "K r n_s"]
     b: Float[Tensor, "K r"]
     covariance: Float[Tensor, "K r K r"]
-    """Covariance of the rows, the errors of `wide` apart."""
+    """Covariance of the rows without the errors of `wide`."""
     wide: dict[str, Float[Tensor, "K r n"]]
     """Effects of one standard deviation of errors with wide priors: `hinge_friction`, `center` and `inertia`."""
     unknowns: Unknowns
@@ -69,18 +69,18 @@ class FrictionEquations:
     drag_rows: Float[Tensor, "K r P"]
     """Derivatives of the rows in the friction of each particle."""
     missing: Float[Tensor, "K r"]
-    """Measured rows less those of the guessed masses and frictions, linear about the likeliest errors, N and N m."""
+    """Measured rows less those of the guessed masses and frictions, linearized about the likely errors, N and N m."""
 
     @staticmethod
     def about(
         on_table: OnTable, weight: float, at: MassDistribution, errors: ModelErrors, off: Theta | None = None
     ) -> FrictionEquations:
-        """Equations about a guess of masses and frictions, which scale the errors and the effect of the gripper's load.
+        """Equations about a guess of masses and frictions, with which errors and the gripper's load scale.
 
         Args:
             on_table: windows of constant speed or acceleration.
             weight: M, kg.
-            at: the guess; the wrench that its motion takes is taken off the rows.
+            at: the guess; its inertial wrench is subtracted from the rows.
             errors: errors of the model.
             off: guess of the stated errors, each in its own unit; none if left out.
         """
@@ -103,19 +103,19 @@ class FrictionEquations:
         return FrictionEquations(q, b, covariance, wide, unknowns, every, drag_rows, missing)
 
     def likely_errors(self, s: Float[np.ndarray, "n_s"]) -> Theta:
-        """Most likely stated errors at some friction loads, N, each in its own unit; none beyond `LARGEST_ERROR`."""
+        """Most likely stated errors at some friction loads, N, each in its own unit, clipped to `LARGEST_ERROR`."""
         missing = (self.b - self.q @ torch.tensor(s)).flatten()
         weighed = torch.linalg.solve(self.covariance_with(*self.wide), missing)
         z = (self.slopes.flatten(0, 1).T @ weighed).clamp(-LARGEST_ERROR, LARGEST_ERROR)
         return {name: value for name, value in self.unknowns.values(z).items() if name not in ("mass", "friction")}
 
     def covariance_with(self, *names: str) -> Float[Tensor, "R R"]:
-        """Covariance of all rows, the named errors of `wide` included."""
+        """Covariance of all rows with the named errors of `wide`."""
         wide = torch.cat([self.q[..., :0], *(self.wide[name] for name in names)], -1).flatten(0, 1)
         return self.covariance.flatten(0, 1).flatten(1) + wide @ wide.T
 
     def where(self, keep: Tensor) -> FrictionEquations:
-        """Equations of the windows that `keep` selects, (K,) of booleans or their places."""
+        """Equations of the windows that `keep` selects, a mask (K,) or indices."""
         wide = {name: effects[keep] for name, effects in self.wide.items()}
         return replace(
             self,
@@ -129,18 +129,18 @@ class FrictionEquations:
         )
 
     def whitened(self) -> LinearSystem:
-        """The system in units of its errors, those of `wide` marginalized."""
+        """System in units of its errors, those of `wide` marginalized."""
         whiten = torch.linalg.inv(torch.linalg.cholesky(self.covariance_with()))
-        # in units of the other errors first: these are larger by many orders
+        # in units of the other errors first, since these are larger by orders of magnitude
         wide = torch.cat([self.q[..., :0], *self.wide.values()], -1).flatten(0, 1)
-        ways, size, _ = torch.linalg.svd(whiten @ wide, full_matrices=False)
-        whiten = whiten - (ways * (1 - (1 + size.square()).rsqrt())) @ (ways.T @ whiten)
+        axes, size, _ = torch.linalg.svd(whiten @ wide, full_matrices=False)
+        whiten = whiten - (axes * (1 - (1 + size.square()).rsqrt())) @ (axes.T @ whiten)
         return LinearSystem(whiten @ self.q.flatten(0, 1), whiten @ self.b.flatten(), whiten)
 
     def hinge_friction(self) -> tuple[Float[np.ndarray, "H"], Float[np.ndarray, "H"]] | None:
-        """Torque of friction of every hinge, N m, and its standard deviation; None of a rigid object.
+        """Friction torque of every hinge, N m, and its standard deviation; None for a rigid object.
 
-        With the friction loads as they fit best; one that the trials do not show has the spread of `HINGE_PRIOR`.
+        Friction loads are fitted too; a torque that the trials do not show has the standard deviation `HINGE_PRIOR`.
         """
         if (hinges := self.wide.get("hinge_friction")) is None:
             return None

@@ -1,4 +1,4 @@
-"""Algorithm 1 as an estimator: its settings, the rounds in which errors and the gripper's load settle, the estimate."""
+"""Algorithm 1 as an estimator: settings, rounds until errors and the gripper's load have converged, estimate."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from testbed.validation import check_integer
 
 Solver = Literal["closed_form", "descent"]
 MOST_ROUNDS, SETTLED = 8, 0.05
-"""Largest number of rounds, and the change of the masses in one, over the whole mass, below which they end."""
+"""Largest number of rounds, and the change of the masses over the whole mass in a round below which they end."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class HiddenStates:
     optimizers: tuple[str, ...] = OPTIMIZERS
     """Optimizers to descend with; the one with the lowest loss is taken."""
     refinements: int = 3
-    """Least number of rounds of solving, each with the errors and the gripper's load that are likeliest after the round
-    before; up to `MOST_ROUNDS` until the masses have settled."""
+    """Least number of rounds, each with the most likely errors and gripper's load of the round before; up to
+    `MOST_ROUNDS` until the masses have converged."""
     pivot_error: float = ModelErrors.pivot_error
     """Error of the center of a turn, m."""
     force_error: float = ModelErrors.force_error
@@ -91,7 +91,7 @@ class HiddenStates:
         return replace(self._rounds(shape, weight, trajectories), seconds=time.perf_counter() - begin)
 
     def _rounds(self, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Estimate:
-        """Algorithm 1 in rounds: each is linear about the answer and the likeliest errors of the round before."""
+        """Algorithm 1 in rounds, each linearized about the masses and most likely errors of the round before."""
         if not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
         trials = TrialWindows.of(shape, weight, trajectories, self.errors)
@@ -137,14 +137,14 @@ def _underdetermined(trials: TrialWindows, system: LinearSystem, guess: MassDist
 
 
 def _settled(trials: TrialWindows, found: Solution) -> MassDistribution:
-    """The masses, or those of one friction for all where they are one of many that fit, at a bound."""
+    """Masses found; where the system is rank-deficient, those of one friction for all groups."""
     if found.masses.rank < found.masses.unknowns and found.H.friction_load.any():
         return one_friction_masses(trials.shape, trials.weight, trials.groups.pairs, found.H.friction_load)
     return found.masses.distribution
 
 
 def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
-    """Estimate of the last round, with its covariance, or the reason why there is none."""
+    """Estimate of the last round with its covariance, or one without masses where trials are contradictory."""
     system, s = found.Q_s_b, found.H.friction_load
     loss = system.loss(s)
     if loss > CONTRADICTORY:

@@ -12,7 +12,7 @@ from estimators.descent import descend
 from estimators.hidden_states.equations import LinearSystem
 
 CONTRADICTORY = 5e4
-"""Mean squared residual, in units of the data's own error, beyond which no mass map explains the data.
+"""Mean squared residual, in units of the errors, above which trials are contradictory.
 
 It is about 1 on own weight and up to 2e4 under one rigid body; a trial with its sign turned makes it 1e5 and more.
 """
@@ -24,7 +24,7 @@ def closed_form(system: LinearSystem) -> Float[np.ndarray, "n_s"]:
 
 
 def closed_form_covariance(system: LinearSystem) -> Float[np.ndarray, "n_s n_s"]:
-    """(Q^T Q)^-1 of the whitened system, by its pseudo-inverse: only of use where rank(Q) = n_s."""
+    """Covariance (Q^T Q)^-1 of the whitened system, by the pseudo-inverse; meaningful only where rank(Q) = n_s."""
     return np.linalg.pinv((system.q.T @ system.q).numpy(), rcond=1e-12, hermitian=True)
 
 
@@ -33,8 +33,8 @@ def descend_loads(
 ) -> tuple[Float[np.ndarray, "n_s"], tuple[Trace, ...]]:
     """Gradient descent on Eq. problem_si from s = 0 (Algorithm 1 starts with zero friction); the best of `optimizers`.
 
-    It descends in coordinates in which the loss curves evenly (s = L^-T z with L L^T = Q^T Q): with pivots in a row the
-    loss is a narrow valley, in which no first-order method arrives in 500 steps. The bound s >= 0 comes at the end.
+    In coordinates of unit curvature (s = L^-T z with L L^T = Q^T Q): with pivots in a row the loss is a narrow valley,
+    in which no first-order method converges in 500 steps. The result is clipped to s >= 0.
     """
     lower = torch.linalg.cholesky(system.q.T @ system.q)
     to_s = torch.linalg.inv(lower).T

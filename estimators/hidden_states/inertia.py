@@ -1,4 +1,4 @@
-"""Moments of inertia I_j about pivots, Eq. dvp; and center of mass and inertia by them, Eq. problem_com_inertia."""
+"""Moments of inertia I_j about pivots, Eq. dvp; center of mass and inertia from them, Eq. problem_com_inertia."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia
 
 RANK_TOLERANCE = 1e-3
-"""Directions of the pivots' spread below this part of the largest count as a straight row."""
+"""Smaller spread of the pivots, relative to the larger, below which they count as a straight row."""
 
 
 class ComInertia(NamedTuple):
-    """c and I_cm as far as the pivots show them."""
+    """c and I_cm by the pivots, NaN where they are not observed."""
 
     center_of_mass: Float[np.ndarray, "2"]
     """Center of mass, m; NaN in a component that is not observed."""
     inertia_cm: float
     """Moment of inertia about it, kg m^2; NaN where not observed."""
     unobserved: str
-    """Confounded numbers in words; empty where there are none."""
+    """Message that names the confounded quantities; empty where there are none."""
 
 
 def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
     """Solve Eq. problem_com_inertia: I_j - M |p_j|^2 = (I_cm + M |c|^2) - 2 M p_j . c is linear in c and the bracket.
 
-    Pivots in a straight row leave the component of c across the row confounded with I_cm; it is named, not guessed.
+    Pivots in a straight row leave the component of c across the row confounded with I_cm; both are then NaN.
     """
     if pivots is None or len(pivots.inertia) < 2:
         why = "c and I_cm: fewer than two pivots were turned about with acceleration"
@@ -41,15 +41,15 @@ def com_and_inertia(pivots: PivotInertia | None, mass: float) -> ComInertia:
     offsets = pivots.pivot - center
     _, spread, axes = np.linalg.svd(offsets, full_matrices=True)
     spread = np.append(spread, [0.0, 0.0])[:2]
-    seen = spread > RANK_TOLERANCE * spread[0]
-    along = axes[seen]
+    observed = spread > RANK_TOLERANCE * spread[0]
+    along = axes[observed]
     design = np.column_stack([np.ones(len(offsets)), -2 * mass * offsets @ along.T])
     target = pivots.inertia - mass * np.sum(offsets**2, axis=1)
     weight = 1 / np.sqrt(pivots.variance)
     solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
     shift = solution[1:]
     rest = float(solution[0] - mass * shift @ shift)
-    if seen.all():
+    if observed.all():
         return ComInertia(center + shift @ along, rest, "")
     row = axes[0]
     com = np.where(np.abs(axes[1]) > 1e-9, np.nan, center + shift @ along)
@@ -68,17 +68,16 @@ def pivot_inertias(
     guess: Inertia,
     relative_error: float,
 ) -> PivotInertia:
-    """I_j by the slope of torque, less that of friction, over angular acceleration, pivot by pivot, Eq. dvp.
+    """I_j by the slope of torque less friction over angular acceleration, pivot by pivot, Eq. dvp.
 
-    Every trial has a constant of its own, so neither friction nor bias enters: only their change from window to window
-    does.
+    Every trial has an unknown constant torque, so that only the change of friction and bias between windows matters.
 
     Args:
-        equations: friction equations of the windows, with the effects of an open center of mass.
+        equations: friction equations of the windows, with the effects of an unknown center of mass.
         windows: all windows, some of them accelerated.
         s: friction loads, N.
-        guess: inertia that the equations take off their values.
-        relative_error: error of I_j beyond the scatter: once of each, and once of all together.
+        guess: inertia whose wrench the equations have subtracted.
+        relative_error: relative error of I_j in addition to the scatter: one of each I_j, and one of all together.
     """
     places, torque = torch.nonzero(windows.accelerated).flatten(), torch.zeros_like(equations.b)
     torque[:, 5] = windows.spin_up(guess)

@@ -1,7 +1,7 @@
 """Last line of Algorithm 1: mass and friction from the hidden states, by weighted non-negative least squares.
 
 With nu = 1 / mu every hidden state is linear in (m, nu): s_h nu_k = g m_h, sum m = M, and the inertia about every
-pivot, I_j = sum m_i |p_i - p_j|^2, which holds c and I_cm without having to name the part of them that is confounded.
+pivot, I_j = sum m_i |p_i - p_j|^2, which contains c and I_cm also where they are confounded.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ NEGLIGIBLE_LOAD = 1e-9
 """Drag below which a friction group is frictionless, N."""
 SMALLEST_PART = 1e-3
 """Least ratio of two frictions."""
-OPEN = 1e-9
-"""Weight of a direction, as a part of the strongest's, below which it is open."""
+RANK_TOLERANCE = 1e-9
+"""Singular value, relative to the largest, below which a direction is not observed."""
 
 Pairs = tuple[tuple[int, int], ...]
 """Mass group and friction group of each s."""
@@ -40,7 +40,7 @@ class PivotInertia:
     variance: Float[np.ndarray, "J"]
     """Variance of each, (kg m^2)^2."""
     common_error: float = 0.0
-    """One error of all together, as a part of I_j."""
+    """Relative error that all I_j share."""
 
     @property
     def covariance(self) -> Float[np.ndarray, "J J"]:
@@ -49,7 +49,7 @@ class PivotInertia:
 
 
 def inertia_map(shape: ObjectShape, points: Float[np.ndarray, "J 2"]) -> Float[np.ndarray, "J n_m"]:
-    """Map from particle masses to the inertia about each point, m^2; cells are solid."""
+    """Map from particle masses to the inertia about each point, m^2, with solid cells."""
     squares = np.sum((shape.particles[None] - points[:, None]) ** 2, axis=2) + shape.cell**2 / 6
     return shape.per_group(squares)
 
@@ -79,7 +79,7 @@ def solve_masses(
     Args:
         shape: geometry and groups.
         weight: M, kg.
-        weighing: the scale that read it.
+        weighing: derivatives and error of its reading.
         pairs: mass and friction group of each s.
         loads: s of one particle in each group pair, N.
         load_covariance: covariance of s, N^2.
@@ -111,12 +111,12 @@ def solve_masses(
     scaled = system / np.maximum(np.linalg.norm(system, axis=0), 1e-300)
     strength = np.linalg.svd(scaled, compute_uv=False)
     return MassSolution(
-        MassDistribution(unknown[:n_m], friction), int((strength >= OPEN * strength[0]).sum()), unknowns
+        MassDistribution(unknown[:n_m], friction), int((strength >= RANK_TOLERANCE * strength[0]).sum()), unknowns
     )
 
 
 def _rough_groups(shape: ObjectShape, pairs: Pairs, loads: np.ndarray, covariance: np.ndarray) -> list[int]:
-    """Friction groups whose drag stands out of its error; of the others s shows nothing about mass."""
+    """Friction groups whose drag exceeds three standard errors; s of the others shows no mass."""
     feet = feet_of(shape, pairs)
     rough = []
     for group in range(shape.n_mu):

@@ -1,7 +1,7 @@
-"""Algorithm 1 line by line as the paper prints it, for comparison with `hidden_states`.
+"""Algorithm 1 line by line as printed in the paper, for comparison with `hidden_states`.
 
-Names and equations are the paper's. It filters state and wrench by what constant speed makes constant, so all times of
-a turn are alike in the object frame: here one window stands for them, and counts as often.
+Names and equations are the paper's. At constant speed its filtered states and wrenches are constant in the object
+frame, so one window here represents all times of a turn, and has their weight.
 """
 
 from __future__ import annotations
@@ -37,15 +37,14 @@ from testbed.validation import check_integer, check_positive_fields
 DT = 0.01
 """dt of Eqs. update1 and update2 [s], at the paper's 100 Hz."""
 ROUNDS = 3
-"""Rounds in which the gripper's load settles, where it is taken off."""
+"""Rounds of subtracting the gripper's load."""
 
 
 @dataclass(frozen=True)
 class PublishedHiddenStates:
-    """Algorithm 1 as printed: gradient descent in s, no covariance, no load of the gripper.
+    """Algorithm 1 as printed: gradient descent in s, without covariance and load of the gripper.
 
-    Assumes that every mass group rests on its own weight. `solver` and `gripper_load` are steps from here to
-    `HiddenStates`.
+    Assumes that every mass group rests on its own weight. `solver` and `gripper_load` are steps towards `HiddenStates`.
     """
 
     solver: Solver = "descent"
@@ -55,10 +54,10 @@ class PublishedHiddenStates:
     optimizers: tuple[str, ...] = OPTIMIZERS
     """Optimizers to descend with; the lowest loss wins. Paper: Adam, RMSProp and others, the best is picked."""
     learning_rate: float = 3.0
-    """First step of Adam and RMSProp over the mean friction load; falls to zero as a square. Ours, and the best of 0.03
-    to 10 on the block objects: the paper gives none."""
+    """First step of Adam and RMSProp over the mean friction load; it decays quadratically to zero. Ours: the best of
+    0.03 to 10 on the block objects, since the paper states none."""
     gripper_load: bool = False
-    """True takes the gripper's measured load off the wrenches first. Ours."""
+    """True subtracts the drag of the gripper's measured load from the wrenches first. Ours."""
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -96,7 +95,7 @@ class PublishedHiddenStates:
         return replace(_judged(trials, trajectories, found), seconds=time.perf_counter() - begin)
 
     def _algorithm_1(self, trials: TrialWindows) -> Estimate:
-        """The paper's Algorithm 1, after its trials were sampled."""
+        """The paper's Algorithm 1 on sampled trials."""
         M, pairs, n_s = trials.weight, trials.groups.pairs, len(trials.groups.pairs)
         uniform = inertia_of(trials.model, torch.full_like(trials.model.fill, M / len(trials.model.fill)))
         p_j, I_j = moments_of_inertia(trials.accelerated)  # for each action in S_1
@@ -111,12 +110,12 @@ class PublishedHiddenStates:
         times = (trials.steady.since_tare.diff(dim=1) / DT).sqrt()
 
         def errors(s: Float[Tensor, "... n_s"]) -> Float[Tensor, "... 3K"]:
-            """Terms of Eq. problem_si; each window stands for all its times."""
+            """Terms of Eq. problem_si; each window has the weight of all its times."""
             return (times * velocity_errors(trials, H, s)).flatten(-2)
 
         b = -errors(torch.zeros(n_s).double())
         Q = (errors(torch.eye(n_s).double()) + b).T
-        # rows in N and N m, in which the sampling of S_2 finds the same rank
+        # rank in N and N m, as in the sampling of S_2
         in_newton = torch.tensor([M, M, I_cm] * len(times)).double()[:, None]
         if (rank := rank_of((in_newton * Q).numpy())) < n_s:
             why = f"rank(Q) is {rank} and {n_s} friction loads are unknown: turn about more points"
@@ -161,7 +160,7 @@ def com_and_inertia(
 ) -> tuple[Float[np.ndarray, "2"], float]:
     """c [m] and I_cm [kg m^2] of Eq. problem_com_inertia, which is linear in c and I_cm + M |c|^2.
 
-    Pivots in a straight row leave c across it open: there it stays at `start` [m].
+    Pivots in a straight row do not determine c across it: that component stays at `start` [m].
     """
     center = p_j.mean(axis=0)
     offset = p_j - center
@@ -176,7 +175,7 @@ def com_and_inertia(
 def velocity_errors(trials: TrialWindows, H: Inertia, s: Float[Tensor, "... n_s"]) -> Float[Tensor, "... K 3"]:
     """Phi(p_t, v_t, s, u_t) - v_{t+1} [m/s, rad/s] of every window, by the forward dynamics, Eqs. fif to update2.
 
-    A turn with its center in the held particle's cell is one about that particle, which stands still, as in the paper.
+    A turn with its center in the held particle's cell is about that particle, which is then at rest, as in the paper.
     """
     model, turns = trials.model, trials.steady
     spin, held = turns.twist[:, 2:], turns.twist[:, :2]
@@ -193,7 +192,7 @@ def masses_of(
 ) -> tuple[Float[Tensor, "... n_m"], Float[Tensor, "... n_mu"]]:
     """m [kg] and mu from the hidden states: m = s / (mu g), with 1 / mu by Eqs. mass, com and inertia.
 
-    M holds exactly, and where there is one friction, it alone decides.
+    M holds exactly; with one friction, it alone determines 1 / mu.
     """
     shape, pairs = trials.shape, trials.groups.pairs
     mass_of, friction_of = torch.tensor(pairs).T
@@ -218,7 +217,7 @@ def masses_of(
 
 
 def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
-    """The trials without the drag of the gripper's load, by masses and frictions of the round before."""
+    """Trials less the drag of the gripper's load, by the masses and frictions of the round before."""
     windows, model = trials.windows, trials.model
     mass = model.particle_mass(torch.tensor(guess.mass))
     load = windows.gripper_load(model, mass, trials.shape.height)
@@ -229,7 +228,7 @@ def _unloaded(trials: TrialWindows, guess: MassDistribution) -> TrialWindows:
 
 
 def _judged(trials: TrialWindows, trajectories: Sequence[Trajectory], found: Estimate) -> Estimate:
-    """The estimate with its misfit, and the status that follows from it."""
+    """Estimate with its misfit and the status by it."""
     if found.distribution is None or found.hidden is None:
         return found
     misfit = misfit_on("own_weight", trials.shape, trials.weight, trajectories, found.distribution)

@@ -1,7 +1,7 @@
 """Windows of trials for Algorithm 1, with its linear systems about a guess of the masses.
 
-The paper's gripper carries nothing. A real one presses or lifts a little, which changes the loads on the table and with
-them friction, in proportion to mass and friction themselves: the estimator takes them from the round before.
+The paper's gripper carries no load. A real gripper presses or lifts slightly, which changes the loads on the table and
+friction with them; the estimator corrects for it by the masses and frictions of the round before.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class TrialWindows:
     groups: LoadGroups
     """G_s."""
     windows: Observations
-    """All windows: friction shows in each, I_j in those of constant acceleration."""
+    """All windows: each shows friction, those of constant acceleration also I_j."""
     robot_seconds: float
     """Robot time that the trials took, s."""
     off: Theta | None = None
@@ -66,7 +66,7 @@ class TrialWindows:
     def about(
         shape: ObjectShape, weight: float, windows: Observations, errors: ModelErrors, seconds: float = 0.0
     ) -> TrialWindows:
-        """Windows that are there, some of them at constant speed; `seconds` of the robot."""
+        """Trials of given windows, some of them at constant speed; `seconds` is their robot time, s."""
         model = ParticleModel.of(shape)
         return TrialWindows(shape, weight, errors, model, LoadGroups.of(model), windows, seconds)
 
@@ -96,19 +96,19 @@ class TrialWindows:
 
     @property
     def on_table(self) -> OnTable:
-        """The windows as measurements of the joint posterior, without errors of I_j, which come with it."""
+        """Windows as measurements of the joint posterior, without errors of I_j, which `pivot_inertias` adds."""
         return _on_table(self.shape, self.windows, replace(self.errors, inertia_error=0.0))
 
     def friction_equations(self, guess: MassDistribution) -> FrictionEquations:
-        """Q s = b of all windows in N and N m, whatever c and I_j may be; of one guess they are worked out once."""
+        """Q s = b of all windows in N and N m, with c and I_j unknown; the last guess's are cached."""
         if guess not in self._equations:
             self._equations.clear()
             found = FrictionEquations.about(self.on_table, self.weight, guess, self.on_table.errors, self.off)
-            self._equations[guess] = replace(found, wide=found.wide | self._open_inertia())
+            self._equations[guess] = replace(found, wide=found.wide | self._unknown_inertia())
         return self._equations[guess]
 
-    def _open_inertia(self) -> dict[str, Float[Tensor, "K r n"]]:
-        """Effects of c and of each I_j on accelerated windows, as large as the object's weight and reach allow."""
+    def _unknown_inertia(self) -> dict[str, Float[Tensor, "K r n"]]:
+        """Effects of c and each I_j on accelerated windows, one standard deviation by the object's weight and reach."""
         windows = self.windows
         if not bool(windows.accelerated.any()):
             return {}
@@ -123,7 +123,7 @@ class TrialWindows:
         return {"center": self.weight * reach * center, "inertia": self.weight * reach**2 * inertia}
 
     def about_errors(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> TrialWindows:
-        """The windows with rows about the most likely errors at friction loads s, N."""
+        """Trials with rows linearized about the most likely errors at friction loads s, N."""
         return replace(self, off=self.friction_equations(guess).likely_errors(s))
 
     def friction_system(self, guess: MassDistribution) -> LinearSystem:
@@ -131,7 +131,7 @@ class TrialWindows:
         return self.friction_equations(guess).whitened()
 
     def pivot_inertias(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> PivotInertia | None:
-        """I_j, by torques less those of friction at s; None without an accelerated turn."""
+        """I_j by torques less friction at loads s, N; None without an accelerated turn."""
         if not bool(self.windows.accelerated.any()):
             return None
         inertia = inertia_of(self.model, self.model.particle_mass(torch.tensor(guess.mass)))
@@ -140,8 +140,8 @@ class TrialWindows:
     def misfit(self, guess: MassDistribution, s: Float[np.ndarray, "n_s"]) -> Misfit:
         """Misfit of friction loads s, N.
 
-        Of friction in all windows, or in those of constant speed where it is larger, since windows of acceleration are
-        many and alike; then of inertia.
+        The larger of those of friction in all windows and in windows of constant speed, since accelerated windows are
+        many and alike; and, where friction explains the windows, of inertia if it is larger.
         """
         equations, at_one_speed = self.friction_equations(guess), ~self.windows.accelerated
         found = equations.whitened().misfit(s)
@@ -160,5 +160,5 @@ class TrialWindows:
 
 @lru_cache(maxsize=1)
 def _on_table(shape: ObjectShape, windows: Observations, errors: ModelErrors) -> OnTable:
-    """Windows as measurements, built once for all rounds of an estimate."""
+    """Windows as measurements, cached for all rounds of an estimate."""
     return OnTable.of(shape, windows, "own_weight", errors)

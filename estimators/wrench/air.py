@@ -1,4 +1,4 @@
-"""Wrench of an object in the air: gravity and motion, in the hand and through the sensor as both may err."""
+"""Wrench of an object in the air: gravity and inertia, with errors of the grip and of the sensor."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FIELDS += ("tool_rate", "pull_rate", "pull_tilt", "tool_tilt")
 
 @dataclass(frozen=True, eq=False)
 class Matter:
-    """Moments of the mass of bodies about a point, B of them or one."""
+    """Moments of the mass of one body, or of B bodies, about a point."""
 
     mass: Float[Tensor, "*B"]
     """Mass, kg."""
@@ -35,7 +35,7 @@ class Matter:
 
     @staticmethod
     def of_groups(shape: ObjectShape) -> Matter:
-        """Each mass group by the cells of its particles, of 1 kg per particle, in the object frame."""
+        """Cells of each mass group, of 1 kg per particle, in the object frame."""
         at = torch.tensor(np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)]))
         group = torch.nn.functional.one_hot(torch.tensor(shape.mass_group), shape.n_m).double() * torch.tensor(
             shape.fill[:, None]
@@ -46,27 +46,27 @@ class Matter:
 
     @staticmethod
     def of_vector(vector: Float[Tensor, "10"]) -> Matter:
-        """A body by its inertial parameters, as `InertialParameters.vector`."""
+        """Body of some inertial parameters, as `InertialParameters.vector`."""
         about = vector[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
         return Matter(vector[0], vector[1:4], about.trace() / 2 * EYE - about)
 
     def times(self, mass: Float[Tensor, "B"]) -> Matter:
-        """The bodies with so many times their masses."""
+        """The bodies with their masses multiplied by `mass`."""
         return Matter(self.mass * mass, self.first * mass[:, None], self.second * mass[:, None, None])
 
     def shifted(self, shift: Float[Tensor, "*B 3"]) -> Matter:
-        """The bodies elsewhere by a shift, m."""
+        """The bodies moved by a shift, m."""
         first = self.first + self.mass[..., None] * shift
         cross = self.first[..., :, None] * shift[..., None, :]
         square = self.mass[..., None, None] * shift[..., :, None] * shift[..., None, :]
         return Matter(self.mass, first, self.second + cross + cross.mT + square)
 
     def turned(self, rotation: Float[Tensor, "3 3"]) -> Matter:
-        """The bodies turned about the point."""
+        """The bodies rotated about the point."""
         return Matter(self.mass, self.first @ rotation.T, rotation @ self.second @ rotation.T)
 
     def together(self) -> Matter:
-        """All bodies as one."""
+        """Sum of the bodies, as one body."""
         return Matter(self.mass.sum(0), self.first.sum(0), self.second.sum(0))
 
     def wrench(
@@ -90,13 +90,14 @@ class Matter:
 class Air:
     """K windows of one lift, measured or planned.
 
-    Unknowns, each 0 where it is left out: those of the setup that show in the air or in a reading; `place`, of the
-    object in the grip (x, y, z), m; `moving` and `scale`, parts by which the wrench of the acceleration, or all of it,
-    is larger; `upright`, changes of the second moments zz, xz and yz, kg m^2; and those of the object's `matter`.
+    Unknowns, each 0 where it is left out: errors of the setup that change wrenches in the air or readings; `place`, the
+    position error (x, y, z) of the object in the grip, m; `moving` and `scale`, relative errors of the wrench of the
+    acceleration and of the whole wrench; `upright`, changes of the second moments zz, xz and yz, kg m^2; and those of
+    the object's `matter`.
     """
 
     matter: Callable[[Theta], Matter]
-    """The object by the unknowns, in its frame."""
+    """Mass distribution of the object as a function of the unknowns, object frame."""
     grasp: Float[Tensor, "2"]
     """Grasp point, m, object frame."""
     windows: Window
@@ -104,7 +105,7 @@ class Air:
 
     @staticmethod
     def of(shape: ObjectShape, windows: Sequence[LiftWindow], matter: Callable[[Theta], Matter]) -> Air:
-        """Windows of one lift of an object of some matter."""
+        """Windows of one lift of an object whose mass distribution is `matter`."""
         fields = {name: torch.tensor(np.array([getattr(window, name) for window in windows])) for name in _FIELDS}
         return Air(matter, torch.tensor(shape.grasps[windows[0].grasp].position), fields)
 
@@ -131,12 +132,12 @@ class Air:
 
     def predict(self, theta: Theta, window: Window) -> Float[Tensor, "6"]:
         """Wrench of the gripper on the object in one window as the sensor shows it, about the assumed TCP."""
-        spread = 1 + theta.get("moving", NONE)
+        factor = 1 + theta.get("moving", NONE)
         tilt, delay = theta.get("table_tilt", torch.zeros(2, dtype=torch.float64)), theta.get("delay", NONE)
         pull = window["pull"] + tilt @ window["pull_tilt"] + delay * window["pull_rate"]
-        rate, spin = spread * window["angular_acceleration"], spread * window["spin_products"]
+        rate, spin = factor * window["angular_acceleration"], factor * window["spin_products"]
         wrench = self.in_hand(theta, window).wrench(pull, rate, spin) * (1 + theta.get("scale", NONE))
-        # the sensor also carries the tool, whose assumed weight is subtracted below
+        # the sensor also carries the tool; its assumed wrench is subtracted below
         tool = window["tool"] * (1 + theta.get("tool_mass", NONE) / window["tool_mass"].clamp(min=1e-9))
         tool = tool + tilt @ window["tool_tilt"] + delay * window["tool_rate"]
         if "tool_com" in theta:
@@ -145,7 +146,7 @@ class Air:
         return window["from_sensor"] @ (flawed(theta, read) - window["tool"])
 
     def in_hand(self, theta: Theta, window: Window) -> Matter:
-        """The object about the assumed TCP, where it truly is in the hand."""
+        """The object about the assumed TCP, at its true place in the hand."""
         held = self.matter(theta).shifted(-torch.cat([self.grasp, window["tcp_height"][None]]))
         if "upright" in theta:
             zz, xz, yz, none = *theta["upright"].unbind(), torch.zeros((), dtype=torch.float64)
@@ -163,10 +164,10 @@ class Air:
 
 
 def nominal(known: Theta, sizes: Mapping[str, Tensor]) -> Theta:
-    """Unknowns as known, with all errors 0."""
+    """Known unknowns, and 0 for the errors of the given sizes."""
     return known | zeros(**{name: tuple(size.shape) for name, size in sizes.items()})
 
 
 def columns(slopes: Mapping[str, Float[Tensor, "K 6 n"]], sizes: Mapping[str, Tensor]) -> Float[Tensor, "R e"]:
-    """Effects of one standard deviation of each error, side by side; R = 6 K."""
+    """Effects of one standard deviation of each error, a column an error; R = 6 K."""
     return torch.cat([slopes[name] * size.flatten() for name, size in sizes.items()], -1).flatten(0, 1)

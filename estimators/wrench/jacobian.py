@@ -12,10 +12,11 @@ from torch.func import vmap
 Theta = dict[str, Tensor]
 """Unknowns by name: masses, and the errors of the setup in their own units."""
 Window = dict[str, Tensor]
-"""Fields of windows by name, a leading axis a window; of one window without it."""
+"""Fields of windows by name, with the window as the leading axis; of a single window without that axis."""
 Slopes = dict[str, Float[Tensor, "K r n"]]
 """Derivatives of the r rows of K windows in each unknown, flattened."""
 NONE = torch.zeros((), dtype=torch.float64)
+"""Value of a scalar unknown that is left out."""
 
 
 def linearized(
@@ -25,9 +26,9 @@ def linearized(
 
     Args:
         predict: rows of one window.
-        theta: where to linearize.
+        theta: point of linearization.
         windows: fields of all windows.
-        chunk: windows that are worked on at once; all if left out.
+        chunk: number of windows in a batch; all if left out.
     """
 
     sizes = [value.numel() for value in theta.values()]

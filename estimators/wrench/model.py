@@ -74,10 +74,10 @@ class ModelErrors:
 EXACT = ModelErrors(**{field.name: 0.0 for field in fields(ModelErrors) if field.name != "weight_error"})
 """Errors of a perfect model: the weighing's alone."""
 MODEL_PARAMETERS = {name.removesuffix("_error"): described for name, described in parameters_of(ModelErrors).items()}
-"""Parameters of the model that err, by the names of their unknowns in the forward model."""
+"""Uncertain parameters of the model, by the names of their unknowns in the forward model."""
 RIGID = ModelErrors(force_error=0.0025, torque_error=0.003, lift_error=0.8, tilt_error=0.07, inertia_error=0.06)
-"""Errors under one rigid body: its loads are not quite affine over the feet, and a gripper that is nulled before the
-motion carries far more of a body that cannot give way to it than of blocks that slide apart."""
+"""Errors under one rigid body: its loads are not exactly affine over the feet, and a gripper that is nulled before the
+motion carries far more of a body that does not yield than of blocks that slide apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class ParticleModel:
     hinges: Float[Tensor, "H 2"]
     """Hinge between each link and the next, m, object frame."""
     stands_on_feet: bool = False
-    """True if points of contact are feet of each mass group, not those of one rigid body."""
+    """True if points of contact are feet of the mass groups, False if they are those of one rigid body."""
 
     @staticmethod
     def of(shape: ObjectShape) -> ParticleModel:
@@ -116,9 +116,9 @@ class ParticleModel:
         )
 
     def points(self, *, spread: bool) -> Float[Tensor, "P C 2"]:
-        """Points at which each particle touches the table, m: its middle, or four of its cell.
+        """Points at which each particle touches the table, m: its middle, or four points of its cell.
 
-        Those at which Gauss takes the mean over a square. An object on points of contact touches there alone.
+        The four are the nodes of Gauss quadrature over a square. An object on points of contact has no others.
         """
         if not spread or bool(self.is_contact.any()):
             return self.particles[:, None]
@@ -143,7 +143,7 @@ class ParticleModel:
 
     @property
     def stands_in_groups(self) -> bool:
-        """True if every mass group touches the table by itself, and may rest on its own weight."""
+        """True if every mass group touches the table, so that each may rest on its own weight."""
         count = int(self.mass_group.max()) + 1
         apart = self.stands_on_feet or not bool(self.is_contact.any())
         return apart and len(self.mass_group[self.contact].unique()) == count
@@ -159,7 +159,7 @@ class ParticleModel:
 
     @property
     def parts(self) -> Float[Tensor, "n_m P"]:
-        """Particle masses of 1 kg per particle in one group and none in the others."""
+        """Particle masses of one group after the other: 1 kg per particle in the group, 0 in the others."""
         return self.particle_mass(torch.eye(int(self.mass_group.max()) + 1, dtype=torch.float64))
 
     def particle_friction(self, friction: Float[Tensor, "... n_mu"]) -> Float[Tensor, "... P"]:

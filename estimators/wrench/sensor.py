@@ -1,4 +1,4 @@
-"""Reading of a wrist sensor as its errors change it, and the walk of its zero."""
+"""Errors of the reading of a wrist sensor, and the random walk of its zero."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from estimators.wrench.model import rotate
 
 
 def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
-    """Reading of the sensor, N and N m, of one that it would show without any error."""
+    """Reading of the sensor with its errors, N and N m, from the reading without any."""
     if "mounting_angle" in theta:
         angle = theta["mounting_angle"].expand(2, 3)
         reading = reading + torch.linalg.cross(angle, reading.reshape(2, 3)).flatten()
@@ -20,19 +20,21 @@ def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
 
 
 def turned_wrench(angle: Float[Tensor, ""], wrench: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
-    """Wrench turned about z by an angle, rad, as poses that come late turn it."""
+    """Wrench rotated about z by an angle, rad: the effect of delayed poses."""
     force, moment = rotate(angle, wrench[:2]), rotate(angle, wrench[3:5])
     return torch.cat([force, wrench[2:3], moment, wrench[5:]])
 
 
 def walk(since_tare: Float[Tensor, "*B K 2"]) -> Float[Tensor, "*B K K"]:
-    """Covariance of the means over two windows of a random walk of 1 per second that began at the tare, s.
+    """Covariance of the means over windows of a random walk of variance 1 per second that starts at the tare, s.
 
     Args:
         since_tare: times of each window's first and last sample, s.
     """
     begin, end = since_tare.unbind(-1)
     middle = (begin + end) / 2
-    walked = torch.minimum(middle[..., :, None], middle[..., None, :])  # of the walk at two times: the earlier of them
+    walked = torch.minimum(
+        middle[..., :, None], middle[..., None, :]
+    )  # covariance of the walk at two times: the earlier one
     walked.diagonal(dim1=-2, dim2=-1).copy_(begin + (end - begin) / 3)
     return walked

@@ -13,14 +13,14 @@ from testbed.worlds.setup_errors import PARAMETERS, SetupErrors
 def stated_sizes(
     setup: SetupErrors, where: tuple[str, ...], groups: int = 0, feet: int = 0, trials: int = 1
 ) -> dict[str, Tensor]:
-    """Standard deviations of errors of a setup by name, each in the shape of its unknown; those of 0 are left out.
+    """Standard deviations of the errors of a setup by name, each in the shape of its unknown; zeros are left out.
 
     Args:
         setup: errors as stated.
-        where: measurements that they change, any of those of `Parameter.shows`.
-        groups: mass groups; 0 of a body of unknown matter, whose groups have no errors.
-        feet: feet of known places.
-        trials: trials that are taken as independent: an error that they share counts root `trials` times in each.
+        where: kinds of measurements, as in `Parameter.shows`; errors that change none of them are left out.
+        groups: number of mass groups; 0 for a body of unknown matter, whose groups have no errors.
+        feet: number of feet at known places.
+        trials: number of trials that are treated as independent: shared errors are sqrt(`trials`) times larger.
     """
     found = {}
     for name, described in PARAMETERS.items():

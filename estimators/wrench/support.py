@@ -1,7 +1,6 @@
 """Support models: normal load of every particle on the table from the particle masses and the gripper's load.
 
-All are batched over K windows and differentiable. Loads are not clipped: a negative one means a lifted particle, and
-the caller can see it.
+All are batched over K windows and differentiable. Loads are not clipped: a negative load means a lifted particle.
 """
 
 from __future__ import annotations
@@ -20,9 +19,10 @@ from estimators.wrench.model import RIGID, ModelErrors, ParticleModel
 from testbed.objects.model import GRAVITY
 
 TURNED, SWUNG = np.array([0.0064, 0.0027, 0.0027]), np.array([0.33, 2.5e-3, 2.5e-3])
-"""Change of a nulled gripper's lift, N, and moment, N m, between directions of a turn, and as it accelerates."""
+"""Change of a nulled gripper's lift, N, and moments, N m, one standard deviation: between directions of a turn, and
+under acceleration."""
 PUSHED = np.array([10.0, 1.0, 1.0])
-"""Load of a fingertip, which is not nulled, N and N m: beyond what any carries, so the sensor alone measures it."""
+"""Load of a fingertip, which is not nulled, N and N m: above any actual load, so that the sensor alone decides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class GripperLoad:
     held: Int[Tensor, "K 2"]
     """Mass groups under the two pads, each of which carries half the lift."""
     lever: Float[Tensor, "K P 2"]
-    """Place of each particle from the grasp point, m: of an object in links, where they have moved."""
+    """Position of each particle from the grasp point, m; of links in their current pose."""
     balanced: bool = False
-    """True if each group's feet are where its own weight is, on unknown points: then none leans."""
+    """True if the unknown feet of each group balance its own weight, so that no group leans on the others."""
 
     @property
     def carried(self) -> Float[Tensor, "K 3"]:
@@ -47,7 +47,7 @@ class GripperLoad:
 
     @staticmethod
     def none(model: ParticleModel) -> GripperLoad:
-        """Load of a gripper that carries nothing, in one window; the object as it lies, about its frame's origin."""
+        """Zero load in one window, with levers from the origin of the object frame."""
         lift, pair = torch.zeros(1, dtype=torch.float64), torch.zeros(1, 2, dtype=torch.float64)
         return GripperLoad(lift, pair, torch.zeros(1, 2, dtype=torch.int64), model.particles[None])
 
@@ -58,14 +58,14 @@ def load_map(height: float) -> np.ndarray:
 
 
 class ShrunkenLoad(NamedTuple):
-    """Lift, N, and moments, N m, of the gripper in K windows, by how much of their scatter the sensor explains."""
+    """Lift, N, and moments, N m, of the gripper in K windows, shrunken towards zero."""
 
     load: Float[np.ndarray, "K 3"]
-    """Loads with the sensor's likely error taken off."""
+    """Shrunken loads."""
     kept: Float[np.ndarray, "K 3"]
-    """Part of a trial's mean load that was kept."""
+    """Shrinkage factor of a trial's mean load, 0 to 1."""
     followed: Float[np.ndarray, "K 3"]
-    """Part of the change from window to window that was kept."""
+    """Shrinkage factor of the change from window to window, 0 to 1."""
     size: Float[np.ndarray, "K 3"]
     """Standard deviation of a trial's mean load."""
     change: Float[np.ndarray, "K 3"]
@@ -80,9 +80,9 @@ def nulled_load(
     *,
     links: bool = False,
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "K 3"]]:
-    """Mean load of a gripper over a trial, and its change from window to window, N and N m, one standard deviation.
+    """Prior standard deviations of a nulled gripper's mean load over a trial, and of its change, N and N m.
 
-    Of a gripper that was nulled, before any measurement; arguments as `shrunken_load`.
+    Arguments as in `shrunken_load`.
     """
     beside = carried * np.array([0.0, 1.0, 1.0])
     change = np.maximum(np.where(accelerated[:, None], SWUNG, TURNED), links * beside)
@@ -102,22 +102,22 @@ def shrunken_load(
     *,
     links: bool = False,
 ) -> ShrunkenLoad:
-    """Loads of K windows with the sensor's likely error taken off, and how large mean and change are.
+    """Loads of K windows, shrunken by the sensor's errors, and the sizes of mean and change.
 
-    Both a trial's mean load and its change from window to window are drawn towards zero by how much of their scatter
-    the sensor explains (empirical Bayes): a gripper that carries less than the sensor resolves is better taken to carry
-    nothing. Either has to stand out by two standard errors, or it is taken to scatter as a nulled gripper's.
+    A trial's mean load and its change from window to window are shrunken towards zero by the part of their scatter that
+    the sensor explains (empirical Bayes), since a load below the sensor's resolution is better estimated as zero. A
+    scatter within two standard errors is replaced by that of a nulled gripper.
 
     Args:
         load: measured loads, N and N m.
-        bias: variance of the error that a trial's windows have in common.
+        bias: variance of the error that the windows of a trial share.
         noise: variance of each window's own error.
         trial: trial that each window is from.
-        accelerated: True for windows of an accelerated turn: an arm that swings carries loads of another size.
+        accelerated: True for windows of an accelerated turn, in which a swinging arm carries larger loads.
         nulled: mean load of a nulled gripper over a trial, one standard deviation.
-        pushed: True for windows of a push: a fingertip's load is not nulled, and taken as measured.
-        carried: moment that the hand carries of weights beside their feet, one standard deviation, N m.
-        links: True of an object in links, of which that moment changes as they turn.
+        pushed: True for windows of a push, whose fingertip is not nulled: its load is kept as measured.
+        carried: moment of weights beside their feet that the hand carries, one standard deviation, N m.
+        links: True for an object in links, where that moment changes as they turn.
     """
     likely, kept, followed = load.copy(), np.ones_like(load), np.ones_like(load)
     size, change_size = nulled_load(nulled, accelerated, pushed, carried, links=links)
@@ -146,16 +146,16 @@ class OwnWeight:
     share: Float[Tensor, "P"]
     """Part of its mass group's mass that each particle carries, kg; 0 without contact."""
     lean: Float[Tensor, "K P"]
-    """Load of each particle from weight beside the middle of its group's feet, N; sums to 0 over a group."""
+    """Load of each particle by weights beside the middle of their feet, N; it sums to 0 over a group."""
     response: Float[Tensor, "K P 3"]
     """Change of each particle's load with the gripper's lift (N per N) and moment (N per N m)."""
     beside: Float[Tensor, "K 2"]
-    """Moment of the weights beside the middles of their feet that all groups share (sum x N, sum y N), N m."""
+    """Moment of weights beside the middles of their feet that all groups share (sum x N, sum y N), N m."""
 
     def held_by(self, nulled: OwnWeight) -> Float[Tensor, "K 2"]:
-        """Moment that the feet hold at the tilt in which a hand was nulled, N m.
+        """Moment that the feet hold at the tilt at which the hand was nulled, N m.
 
-        The hand keeps the tilt while links move. What their weights take beyond that it may carry, in all trials alike.
+        The hand keeps that tilt while links move, and may carry the rest of the moment of their weights.
         """
         tilt, still = self.response[..., 1:], nulled.response[..., 1:]
         stiffness = torch.linalg.pinv(tilt.mT @ tilt, hermitian=True)
@@ -171,14 +171,12 @@ class OwnWeight:
 
 
 def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> OwnWeight:
-    """Every mass group on its own weight: N_i = m_i g, plus the gripper's load.
+    """Loads with every mass group on its own weight: N_i = m_i g, plus the gripper's load.
 
-    fz lightens the held group's weight, or by half of it each that of two under the pads. All groups share one tilt on
-    a foundation of even stiffness, so each takes a part of the moment that is affine over its own feet: the gripper's,
-    and that of a weight beside its feet; where groups are `balanced`, or on known feet, each takes its own weight's
-    alone. An object that
-    does not stand in groups, since one has no foot or it rests on points of contact, is one group: its loads are then
-    `rigid_loads`.
+    fz reduces the load of the held group, or by half each that of the two groups under the pads. All groups share one
+    tilt on a foundation of even stiffness, so that each takes a part of the moment that is affine over its own feet: of
+    the gripper's moment, and of that of weights beside their feet. Where groups are `balanced`, or on known feet, each
+    takes the moment of its own weight. An object that does not stand in groups is one group, with `rigid_loads`.
 
     Args:
         model: particles of the object.
@@ -210,19 +208,19 @@ def own_weight(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad
         lean = (tilt @ shared[..., None])[..., 0]
     gripped = ((group == held[..., None]) & contact).double()
     lift = (gripped / gripped.sum(-1, keepdim=True).clamp(min=1)).mean(-2)
-    # fz acts at the grasp point: what lies beside the middle of the held groups' feet tilts
+    # fz acts at the grasp point: beside the middle of the held groups' feet it has a moment
     middle_held = center.gather(1, held[..., None].expand(-1, -1, 2)).mean(1)
     tilted = (tilt @ middle_held[..., None])[..., 0]
     return OwnWeight(share, lean, torch.cat([(tilted - lift)[..., None], tilt], -1), shared)
 
 
 def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:
-    """N_i with every mass group on its own weight, N."""
+    """Loads N_i with every mass group on its own weight, N."""
     return own_weight(model, mass, load).loads(load)
 
 
 def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:
-    """One rigid body: N_i = a + b x_i + c y_i over the particles in contact, from the balance of force and moments."""
+    """Loads of one rigid body, N: N_i = a + b x_i + c y_i over the particles in contact, by balance of forces."""
     from_grasp = load.lever
     total = mass.sum() * GRAVITY
     moment = GRAVITY * torch.einsum("p,kpd->kd", mass, from_grasp) + load.moment
@@ -235,12 +233,12 @@ def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoa
 
 
 def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tensor, "P w"]:
-    """Standard deviations by which loads on points of contact may differ from `rigid_loads`, N: a column a direction.
+    """Standard deviations of the loads on points of contact about `rigid_loads`, N: a column a direction.
 
-    Balance decides the loads of three points. A rigid body on more rests on three of them, and which is unknown:
-    every three with the center of mass between them are as likely, about the even foundation's loads. A column per
-    load that balance leaves open, zero where the weight acts outside all threes; it changes continuously with the
-    masses. Shape (P, 0) for three points, and for feet of groups and under cells, which give way.
+    Balance determines the loads of three points. A rigid body on more points rests on an unknown three of them: all
+    triples with the center of mass between them are equally likely, about the loads of an even foundation. One column
+    per statically indeterminate load, zero where the weight acts outside all triples; continuous in the masses. Shape
+    (P, 0) for three points, and for feet of groups and cells, which yield.
     """
     points = torch.nonzero(model.is_contact & (not model.stands_on_feet)).flatten()
     basis = torch.cat([torch.ones(len(points), 1, dtype=torch.float64), model.particles[points]], 1)
@@ -252,34 +250,34 @@ def contact_spread(model: ParticleModel, mass: Float[Tensor, "P"]) -> Float[Tens
     wanted = torch.cat([weight.sum()[None], weight @ model.particles])
     middle = rigid_loads(model, mass, GripperLoad.none(model))[0, points]
     size = (basis[:, 1:].amax(0) - basis[:, 1:].amin(0)).prod()
-    apart = []
+    differences = []
     for three in combinations(range(len(points)), 3):
         corners = basis[list(three)]
         if torch.linalg.det(corners).abs() > 1e-6 * size:
             loads = torch.zeros_like(middle)
             loads[list(three)] = torch.linalg.solve(corners.T, wanted)
-            apart += [loads - middle] if bool((loads >= 0).all()) else []
-    if apart:
-        ways = torch.linalg.svd(basis)[0][:, rank:]
-        within = torch.stack(apart) @ ways / len(apart) ** 0.5
+            differences += [loads - middle] if bool((loads >= 0).all()) else []
+    if differences:
+        free = torch.linalg.svd(basis)[0][:, rank:]
+        within = torch.stack(differences) @ free / len(differences) ** 0.5
         squares, axes = torch.linalg.eigh(within.T @ within)
-        spread[points] = ways @ (axes * squares.clamp(min=0).sqrt()) @ axes.T
+        spread[points] = free @ (axes * squares.clamp(min=0).sqrt()) @ axes.T
     return spread
 
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Loads of groups that springs join, from own weight (a share of 0) to one rigid body (1).
+    """Loads of groups joined by springs, from own weight (share 0) to one rigid body (share 1).
 
     All groups share one tilt on a foundation of even stiffness, and each has a height of its own, which springs of
-    equal stiffness pull towards those of its neighbors. A pattern of load that springs take from the groups fades as
-    1 / (1 + r w): r is their stiffness over the foundation's, w the pattern's own.
+    equal stiffness pull towards those of its neighbors. Springs reduce a pattern of load by 1 / (1 + r w), with r their
+    stiffness over that of the foundation and w the weight of the pattern.
     """
 
     span: Float[Tensor, "P r"]
-    """Loads that a foundation can have, orthonormal: a height of each group, and one tilt."""
+    """Orthonormal basis of the foundation's loads: a height of each group, and one tilt."""
     patterns: Float[Tensor, "P J"]
-    """Patterns of load that one rigid body does not have, orthonormal."""
+    """Orthonormal patterns of load that one rigid body does not have."""
     weight: Float[Tensor, "J"]
     """Work of the springs in each pattern, over its mean."""
 
@@ -294,7 +292,7 @@ class Springs:
         count, feet = len(model.parts), model.contact
         groups = torch.nn.functional.one_hot(model.mass_group, count).double()
         sinks = torch.cat([groups, model.particles], 1) * feet[:, None]
-        # rows of zeros, so that all moves are there where groups have fewer feet than moves
+        # rows of zeros keep all moves where there are fewer feet than moves
         padded = torch.nn.functional.pad(sinks, (0, 0, 0, count + 2))
         sink, size, moves = torch.linalg.svd(padded, full_matrices=False)
         ends = torch.zeros(len(neighbors), count + 2, dtype=torch.float64)
@@ -302,7 +300,7 @@ class Springs:
             ends[spring, a], ends[spring, b] = 1.0, -1.0
         stretch = ends @ moves.T
         rank = int((size > 1e-9 * size[0]).sum())
-        # moves that sink no foot take what the springs ask for: a straight row of feet may tilt across itself
+        # moves that sink no foot relax the springs: a straight row of feet may tilt across itself
         free = torch.linalg.qr(stretch[:, rank:])[0]
         stretch = (stretch - free @ (free.T @ stretch))[:, :rank] / size[:rank]
         work, axes = torch.linalg.eigh(stretch.T @ stretch)
@@ -312,20 +310,22 @@ class Springs:
         return Springs(span, span @ axes[:, kept], weight / weight.mean())
 
     def joined(self, load: Float[Tensor, "P"], share: Float[Tensor, ""]) -> Float[Tensor, "P"]:
-        """Loads, N, of groups that press with `load` alone, at a share r / (1 + r) of springs.
+        """Loads at a share r / (1 + r) of springs, N, linear in the share below 0 and above 1.
 
-        Linear in the share below 0 and above 1.
+        Args:
+            load: loads without springs, N.
+            share: share of springs.
         """
         within = share.clamp(0.0, 1.0)
         taken = within * self.weight / (1 - within + within * self.weight)
         taken = taken + (share - within) * torch.where(share < 0, self.weight, 1 / self.weight)
-        apart = load - self.span @ (self.span.T @ load)  # of groups that tilt alone
-        return load - self.patterns @ (taken * (self.patterns.T @ load)) - share * apart
+        own_tilt = load - self.span @ (self.span.T @ load)  # of groups that tilt by themselves
+        return load - self.patterns @ (taken * (self.patterns.T @ load)) - share * own_tilt
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Loads of a support model, affine in the masses and in the gripper's load."""
+    """Loads of a support model, linear in the masses and the gripper's load."""
 
     per_mass: Float[Tensor, "K P n_m"]
     """Load of each particle per kg of each group's particle mass, N/kg."""
@@ -346,7 +346,7 @@ class Support:
         Args:
             name: support model.
             model: particles of the object.
-            lever: place of each particle from the grasp point, m.
+            lever: position of each particle from the grasp point, m.
             held: mass groups under the two pads.
             balanced: as in `GripperLoad`.
         """
@@ -364,7 +364,7 @@ class Support:
 
 SupportModel = Literal["own_weight", "rigid"]
 JoinedSupport = Literal["own_weight", "rigid", "springs"]
-"""Support models of the posterior: springs between the groups too, whose stiffness is unknown."""
+"""Support models of the posterior; `springs` between the groups have an unknown stiffness."""
 LoadsOf = Callable[[ParticleModel, Tensor, GripperLoad], Tensor]
 """Loads [N], (K, P), from particle masses [kg], (P,), and the gripper's load."""
 ASSUMPTION: dict[JoinedSupport, str] = {
@@ -379,6 +379,6 @@ LOADS: dict[str, LoadsOf] = {"own_weight": own_weight_loads, "rigid": rigid_load
 
 
 def _shrinkage(scatter: np.ndarray, error: np.ndarray, count: int, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Part of a scatter over `count` values that is no error of the sensor, 1 where there is no error, and its size."""
+    """Shrinkage factor of a scatter over `count` values, 1 without sensor error, and standard deviation without it."""
     real = np.maximum(scatter - (1 + 2 * np.sqrt(2 / count)) * error, least**2)
     return np.where(error > 0, real / np.maximum(real + error, 1e-300), 1.0), np.sqrt(real)

@@ -1,7 +1,8 @@
-"""Wrench of an object that slides and turns over the table: friction and motion, with every error of the setup.
+"""Wrench of an object that slides and turns over the table: friction and inertia, with every error of the setup.
 
-An object is a chain of links, a rigid one of a single link. Below the wrench about the grasp point stand the torques
-about its hinges, each of all that trails behind the hinge: no sensor is there, and the hinge's own friction takes them.
+An object is a chain of links; a rigid object has one. The rows are the wrench about the grasp point and the torques
+about the hinges. A hinge torque is that of all links beyond the hinge; it has no sensor, and equals the hinge's own
+friction.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ from estimators.wrench.model import ParticleModel, cross, rotate, turned
 from testbed.sensing.compensation import SIDEWAYS
 
 PERIOD, FINEST = 0.8, 8
-"""Side of the square over which friction by place is a Fourier series, m, and the order of its finest waves along an
-axis. Ours: trials stay within it, and shorter waves average out under an object."""
+"""Side of the square over which friction by place is a Fourier series, m, and the order of its shortest waves along an
+axis. Ours: trials stay within the square, and shorter waves average out under an object."""
 REFERENCE = 0.02
 """Speed at which friction is the stated one, m/s."""
 BATCH = 100_000
-"""Points of contact, over the parts of windows, that are worked on at once."""
+"""Points of contact, times parts of windows, in a batch."""
 SMALLEST = 1e-12
 """Least change of a force of 1 N that counts, N."""
 PAIR = torch.zeros(2, dtype=torch.float64)
+"""Value of an unknown of two components that is left out."""
 IN_PLANE = torch.tensor(SIDEWAYS[:, :2])
+"""Acceleration that opposes gravity per tilt about each axis of the table, m/s^2 per rad."""
 
 
 def _waves() -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n"]]:
-    """Wave vectors, rad/m, and the part of the variance of each: even in the logarithm of the wavelength."""
+    """Wave vectors, rad/m, and the part of the variance of each, uniform in the logarithm of the wavelength."""
     along = torch.cartesian_prod(*[torch.arange(-FINEST, FINEST + 1, dtype=torch.float64)] * 2)
     square = along.square().sum(1)
     half = (along[:, 0] > 0) | ((along[:, 0] == 0) & (along[:, 1] > 0))  # the other half are the same waves
@@ -43,15 +46,15 @@ def _waves() -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n"]]:
 
 
 WAVES, WAVE_PARTS = _waves()
-"""Waves of a table's friction, and the part of its variance that each has."""
+"""Wave vectors of a table's friction, and the part of the variance of each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Places and motion of points of an object over S parts of a window, about the grasp point, held link's axes."""
+    """Positions and motion of points of an object over S parts of a window, from the grasp point, held link's axes."""
 
     place: Float[Tensor, "S *N 2"]
-    """Place, m."""
+    """Position, m."""
     velocity: Float[Tensor, "S *N 2"]
     """Velocity, m/s."""
     rate: Float[Tensor, "S *N"]
@@ -62,12 +65,12 @@ class Moved:
 class Table:
     """K windows of an object on the table, measured or planned.
 
-    Unknowns, each 0 where it is left out: those of the setup, by their names in `SetupErrors`; `place_friction` is the
-    part by which each particle has more friction there. Further: `mass` of every particle, kg; `friction` of every
-    point of contact beyond that of the windows, N; `twist` of the hand, m/s and rad/s; `lead`, the time by which
-    friction is ahead of the motion, s; `inertia`, the part by which the wrench of the acceleration is larger; `force`
-    on every particle, N; `seen`, errors of the camera that sees a pushed object, and `links_seen`, of one that sees
-    links, in standard deviations; and `hinge_friction`, the torque of each hinge's friction, N m.
+    Unknowns, each 0 where it is left out: errors of the setup, by their names in `SetupErrors`; `place_friction` is the
+    relative change of friction at each particle. Further: `mass` of every particle, kg; `friction` of every point of
+    contact in addition to that of the windows, N; `twist`, error of the hand's, m/s and rad/s; `lead`, the time by
+    which friction leads the motion, s; `inertia`, relative error of the wrench of the acceleration; `force` on every
+    particle, N; `seen` and `links_seen`, errors of the camera for a pushed object and for links, in standard
+    deviations; and `hinge_friction`, the torque of each hinge's friction, N m.
     """
 
     model: ParticleModel
@@ -85,11 +88,11 @@ class Table:
 
     @cached_property
     def field(self) -> Float[Tensor, "K P n"]:
-        """Friction under each particle by the amplitude of every wave of `WAVES`, cosines first."""
+        """Derivatives of the friction under each particle in the amplitude of every wave of `WAVES`, cosines first."""
         poses, size = self.windows["poses"], WAVE_PARTS.sqrt().repeat(2)
         field = torch.zeros(*self.lever.shape[:2], len(size), dtype=torch.float64)
         cosines, sines = field.tensor_split(2, -1)
-        for pose in poses.unbind(1):  # part by part, in place: of all at once, memory runs out
+        for pose in poses.unbind(1):  # part by part and in place, to limit memory
             phase = (pose[:, None, :2] + rotate(pose[:, None, 2], self.lever)) @ WAVES.T  # (K, P, n)
             cosines += phase.cos()
             sines += phase.sin_()
@@ -103,7 +106,7 @@ class Table:
 
     @property
     def chunk(self) -> int:
-        """Windows that are worked on at once."""
+        """Number of windows in a batch."""
         parts = self.windows["rates"].shape[1]
         return max(1, BATCH // (parts * self.points.shape[0] * self.points.shape[1]))
 
@@ -141,10 +144,10 @@ class Table:
 
     @cached_property
     def unresolved(self) -> Float[Tensor, "K 3+H P"]:
-        """Part of `drag_rows` that a motion which changes within a part may leave out.
+        """Error of `drag_rows` by motion that changes within a part, by Richardson extrapolation.
 
-        Its change by half as many parts, times what the changes so far leave to come as a geometric series
-        (Richardson): a third of it where motion is smooth, all of it where two halvings change it alike.
+        The change between all parts and half as many, times the sum of the geometric series of further changes: a third
+        where motion is smooth, the whole where two halvings change the rows alike.
         """
         rows = [self.drag_rows(), self._in_parts_of(2).drag_rows(), self._in_parts_of(4).drag_rows()]
         finer, coarser = rows[0] - rows[1], rows[1] - rows[2]
@@ -153,18 +156,18 @@ class Table:
         return finer * torch.where(coarse > fine, left, 1.0)[:, None, None]
 
     def _in_parts_of(self, count: int) -> Table:
-        """The windows with the mean motion of so many parts in each of them."""
+        """The windows with the motion averaged over groups of `count` parts."""
         rates = self.windows["rates"]
         means = [part.mean(1, keepdim=True).expand_as(part) for part in rates.split(count, dim=1)]
         return replace(self, windows=self.windows | {"rates": torch.cat(means, 1)})
 
     @property
     def at_middles(self) -> Table:
-        """The windows with every particle on its middle."""
+        """The windows with contact at the middle of every particle."""
         return replace(self, points=self.model.particles[:, None])
 
     def moved(self, theta: Theta) -> Moved:
-        """Places and motion of the particles in all windows, each with a leading axis of windows."""
+        """Positions and motion of the particles in all windows, with windows as the leading axis."""
 
         def of(theta: Theta, window: Window) -> tuple[Tensor, Tensor, Tensor]:
             found = self._moved(theta, window, self.model.particles)
@@ -192,7 +195,7 @@ class Table:
             touched = touched.index_add(0, model.feet, theta["foot_offset"][:, None].expand(-1, touched.shape[1], -1))
         touching = self._moved(theta, window, touched)
         load, unit = self._load(theta, window, middle), self._directions(touching)
-        # places of a rigid object do not change, and means over the parts of a window come first
+        # positions of a rigid object do not change, so unit vectors are averaged over the parts of a window first
         drag = load[..., None] * (unit.mean(0, keepdim=True) if len(touching.place) == 1 else unit)
         force, torque = drag.sum(-2), cross(touching.place, drag).sum(-1)  # of each particle
         more = self._inertial(theta, window, middle) if "mass" in theta else None
@@ -222,7 +225,7 @@ class Table:
         return torch.cat([wrench, about])
 
     def _links(self, theta: Theta, window: Window) -> tuple[Float[Tensor, "S L 3"], Float[Tensor, "S L 3"]]:
-        """Angle and shift of every link, rad and m, and its velocity and turn rate, with the errors of both."""
+        """Angle and shift of every link, rad and m, and its velocity and turn rate, errors included."""
         frames, rates = window["frames"], window["rates"]
         if "links_seen" in theta:
             off = torch.tensordot(theta["links_seen"], window["links_off"], 1)
@@ -232,7 +235,7 @@ class Table:
         twist = theta.get("twist", torch.zeros(3, dtype=torch.float64))
         if "seen" in theta:
             twist = twist + self._seen(theta, window)[1]
-        if "twist" in theta or "seen" in theta:  # links further on keep their own turn, and go with their hinge
+        if "twist" in theta or "seen" in theta:  # other links keep their own rate, and follow their hinge
             held = window["held"][:, None]
             velocity = rates[..., :2] + twist[:2] + twist[2] * turned(window["trailing"])
             rates = torch.cat([velocity, rates[..., 2:] + twist[2] * held], -1)
@@ -246,7 +249,7 @@ class Table:
         return torch.cat([frames[..., :1] + angle, rotate(angle, frames[..., 1:]) + shift], -1), rates
 
     def _in_hand(self, theta: Theta, window: Window) -> tuple[Tensor | None, Tensor]:
-        """Angle and shift of the object in the hand that holds it, rad and m; None where neither is unknown."""
+        """Angle and shift of the object in the hand, rad and m; the angle is None where neither is unknown."""
         names = {"grasp_angle", "tcp_angle", "grasp_offset", "tcp_offset"}
         if names.isdisjoint(theta):
             return None, PAIR
@@ -261,8 +264,8 @@ class Table:
         """Errors of a pushed object's motion by the camera.
 
         Returns:
-            Shift of the point of contact, m, and turn of the object, rad; change of the twist of that point; and of
-            its acceleration: along x, along y, and angular.
+            Shift of the point of contact, m, and rotation of the object, rad; error of the twist of that point; and
+            error of its acceleration: along x, along y, and angular.
         """
         shift, turn, velocity, rate, pull, slope = (window["seen"] @ theta["seen"]).split([2, 1, 2, 1, 2, 1])
         at, (x, y, spin), (a, b, alpha, square) = window["grasp"], window["twist"], window["accelerations"][0, 0]
@@ -273,13 +276,13 @@ class Table:
         return (moved, turn[0]), twist, torch.cat([pull - turn * turned(pulled) + slope * turned(at), slope])
 
     def _moved(self, theta: Theta, window: Window, points: Float[Tensor, "P *C 2"]) -> Moved:
-        """Places and motion of points of each particle."""
+        """Positions and motion of points of each particle."""
         frames, rates = (self._of_particle(each, points) for each in self._links(theta, window))
         place = rotate(frames[..., 0], points - window["grasp"]) + frames[..., 1:]
         return Moved(place, rates[..., :2] + rates[..., 2:] * turned(place), rates[..., 2])
 
     def _of_particle(self, links: Float[Tensor, "S L n"], points: Float[Tensor, "P *C 2"]) -> Float[Tensor, "S P *C n"]:
-        """Values of each point's link; of a rigid object those of its one, for all."""
+        """Values of each point's link; a rigid object has one link for all."""
         own = links if links.shape[1] == 1 else links[:, self.model.link[self.model.mass_group]]
         return own[:, :, None] if points.dim() > 2 else own
 
@@ -300,7 +303,7 @@ class Table:
         return load * (1 + more[..., None])
 
     def _rebalanced(self, offset: Float[Tensor, "F 2"]) -> Float[Tensor, "P"]:
-        """Change of each foot's load, as a part of it, with which feet that are elsewhere still balance their group."""
+        """Relative change of each foot's load by which feet with position errors still balance their group."""
         feet, group = self.model.feet, self.model.mass_group[self.model.feet]
         own = torch.nn.functional.one_hot(group, len(self.model.parts)).double()
         mean = own / own.sum(0)
@@ -311,15 +314,15 @@ class Table:
         return torch.zeros(len(self.points), dtype=torch.float64).index_add(0, feet, -(lever * moment[group]).sum(-1))
 
     def _directions(self, points: Moved) -> Float[Tensor, "S P C 2"]:
-        """Direction in which each point moves; shorter near the center of a turn."""
+        """Unit velocity of each point, shorter near the center of a turn."""
         fade = self.pivot_error * points.rate
         return points.velocity / (points.velocity.square().sum(-1) + fade.square() + 1e-18).sqrt()[..., None]
 
     def _pulled(self, theta: Theta, window: Window, unit: Float[Tensor, "S P 2"]) -> Float[Tensor, "S P 2"]:
-        """Drag of particles along their directions on a table of elliptic friction.
+        """Drag of particles of unit velocities u on a table of elliptic friction.
 
-        Of friction 1 + |a| along one axis of the table and 1 - |a| across, a the anisotropy: f = A u / sqrt(u . A u),
-        A = (1 + |a|^2) I + 2 S, with S the reflection that a scales, in the object's axes.
+        Friction is 1 + |a| along one axis of the table and 1 - |a| across, with a the anisotropy:
+        f = A u / sqrt(u . A u), A = (1 + |a|^2) I + 2 S, with S the reflection scaled by a, in the object's axes.
         """
         anisotropy = theta["anisotropy"]
         size = anisotropy.square().sum()
@@ -332,14 +335,14 @@ class Table:
     def _beside_law(
         self, departure: Float[Tensor, "3"], load: Float[Tensor, "P"], force: Tensor, place: Float[Tensor, "S P 2"]
     ) -> Float[Tensor, "S P 2"]:
-        """Friction of particles beside Coulomb's: along it, across it, and around the middle of the contact, N."""
+        """Departure of friction from Coulomb's, N: along it, across it, and around the middle of the contact."""
         along, across, around = departure
         arm = place - place[:, self.model.contact].mean(1, keepdim=True)
         reach = arm[:, self.model.contact].square().sum(-1).mean().sqrt()
         return along * force + across * turned(force) + around / reach * load[:, None] * turned(arm)
 
     def _inertial(self, theta: Theta, window: Window, middle: Moved) -> tuple[Tensor, Tensor]:
-        """Force on each particle and torque about its own middle, N and N m, that motion and a tilted table take."""
+        """Inertial force on each particle and torque about its middle, N and N m; a tilt of the table included."""
         given = window["accelerations"] * (1 + theta.get("inertia", NONE))
         if "seen" in theta:
             given = given + torch.cat([self._seen(theta, window)[2], NONE[None]])

@@ -1,7 +1,7 @@
-"""Masses from lifts: in the air the wrench is linear in them, with no friction between.
+"""Lifts: windows, and covariance of their errors. In the air the wrench is linear in the masses, without friction.
 
-Held still, the object shows M and c; rocked, the second moments about the TCP: six numbers with x, y and z of their
-own, where turns on the table show four.
+An object held still shows M and c; one that is rocked also shows the second moments about the TCP: six numbers of the
+masses, where turns on the table show four.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from testbed.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class LiftErrors:
-    """Standard deviations of the quantities that a lift takes as known, drawn once per trial unless noted otherwise."""
+    """Standard deviations of quantities assumed known in a lift, drawn once a trial unless noted otherwise."""
 
     grip: float = 5e-4
-    """Place of the object between the pads, along x and along y, m."""
+    """Position of the object between the pads, along x and along y, m."""
     sag: float = 1e-3
-    """Height of the TCP over the object's bottom: it lies on felt, and sinks between the pads, m."""
+    """Height of the TCP over the object's bottom, which lies on felt and sinks between the pads, m."""
     slip: float = 1e-3
-    """Way that it creeps down between the pads from the first window to the last, m, one step after another."""
+    """Creep down between the pads from the first window to the last, a random walk, m."""
     creep: float = 4e-4
-    """The same along x and along y."""
+    """Creep along x and along y, likewise."""
     height: float = 0.25
-    """Height of the center of mass, as a part of the object's: the tilts show it themselves."""
+    """Height of the center of mass, relative to the object's; the tilts determine it."""
     inertia: float = 0.005
-    """Wrench of the acceleration, as a part of itself."""
+    """Wrench of the acceleration, relative."""
     gain: float = 3e-4
-    """All wrenches, as a part of themselves."""
+    """All wrenches, relative."""
     wrench: float = 3e-4
-    """Each window's own wrench, as a part of the weight, and of the weight at the particles' mean distance."""
+    """Each window's wrench, relative to the weight, and to the weight at the particles' mean distance."""
 
     def sizes(self, height: float) -> dict[str, Tensor]:
-        """Standard deviations of the unknowns of `Air` that all windows share; that of the height is given, m."""
+        """Standard deviations of the unknowns of `Air` that all windows share; `height` is that of the height, m."""
         sizes = {"place": [self.grip, self.grip, height], "moving": self.inertia, "scale": self.gain}
         return {name: torch.tensor(size, dtype=torch.float64) for name, size in sizes.items()}
 
 
 def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[int, list[LiftWindow]]:
-    """Windows of every lift among some trajectories that ended well, by its place among them.
+    """Windows of every lift that ended well, by its index among the trajectories.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have, no shape, something other than trajectories, or a
@@ -62,9 +62,10 @@ def lifts_among(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> dict[
 
 
 def upright_sizes(shape: ObjectShape, weight: float) -> Float[Tensor, "3"]:
-    """Standard deviations of second moments with height, where partly filled cells leave the height of matter open.
+    """Standard deviations of second moments with height, where partly filled cells leave the height of mass unknown.
 
-    That of the sum of m z^2 is a full cell's; those of m x z and m y z are as if height went half with place.
+    That of sum m z^2 is its value for full cells; those of sum m x z and sum m y z assume a correlation of one half
+    between height and position.
 
     Args:
         shape: geometry.
@@ -89,8 +90,8 @@ def lift_covariance(
         shape: geometry.
         windows: windows of one trial.
         slopes: derivatives of the wrenches in every unknown, `place` among them.
-        sizes: standard deviations of those that all windows share.
-        errors: errors of each window's own, and of a creep in the grip.
+        sizes: standard deviations of the errors that all windows share.
+        errors: errors of each window, and of the creep in the grip.
         weight: M, kg.
     """
     common = columns(slopes, sizes).numpy()
@@ -106,7 +107,7 @@ def lift_covariance(
 
 
 def _sensor_covariance(windows: Sequence[LiftWindow]) -> Float[np.ndarray, "R R"]:
-    """Covariance of all windows' wrenches: each one's noise, the tare's bias in all, and the walk of the zero since."""
+    """Covariance of all windows' wrenches by the sensor: noise of each, shared bias of the tare, walk of the zero."""
     count, walked = len(windows), walk(torch.tensor(np.array([w.since_tare for w in windows]))).numpy()
     covariance = np.kron(np.ones((count, count)), windows[0].bias_covariance)
     covariance += np.kron(walked, windows[0].drift_covariance)

@@ -1,8 +1,7 @@
-"""Errors of an articulated object's rows: wrenches while links trail, and torques about hinges without any sensor.
+"""Errors of an articulated object's rows: wrenches while links trail, and torques about hinges.
 
-The torque about a hinge of all that trails behind it, friction and inertia, is the hinge's own friction against its
-turn: an unknown of its own, and no wrench is needed for it. Where a hinge does not turn, its friction is anything up to
-that, and its row is none.
+The torque of friction and inertia of all links beyond a hinge equals the hinge's own friction, which is an unknown; it
+needs no sensor. The friction of a hinge at rest may have any value up to that, so it has no row.
 """
 
 from __future__ import annotations
@@ -19,24 +18,24 @@ from estimators.wrench.table import Table
 from testbed.worlds.setup_errors import SetupErrors
 
 FORCE_ERROR, HINGE_ERROR = 0.002, 0.006
-"""Model error of wrenches while links trail, as a part of the whole drag and its torque, and of the torque about a
-hinge, as a part of the drag's about it; the windows of a trial share it. By `python bench/physics.py links`."""
+"""Model error of wrenches while links trail, relative to the total drag and its torque, and of the torque about a
+hinge, relative to that of the drag; the windows of a trial share it. By `python bench/physics.py links`."""
 UNEVEN = 0.1
-"""Part of a point's load that an uneven table shifts, where points of contact are unknown: off a group's center of mass
-about hinges, and onto the hand. Ours."""
+"""Part of the load that an uneven table shifts, where points of contact are unknown: off a group's center of mass about
+hinges, and onto the hand. Ours."""
 LEAST_ERROR = 1e-6
-"""Least error of a torque about a hinge, N m: where a guess has links without mass, it still is one."""
+"""Least error of a torque about a hinge, N m, for guesses with links without mass."""
 RESTING = 5e-4
-"""Speed at which the drag of a particle that trails has no sure direction, m/s. Ours."""
+"""Speed at which the drag of a trailing particle has no known direction, m/s. Ours."""
 HINGE_PRIOR = 1.0
 """Friction of a hinge before any trial, one standard deviation, N m: far more than an object on a table has."""
 
 
 def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupErrors) -> Float[Tensor, ""]:
-    """Moment that the hand may carry of weights beside the middles of their feet, N m, one standard deviation.
+    """Moment of weights beside the middles of their feet that the hand may carry, one standard deviation, N m.
 
-    Of even masses, their weight being twice the `drag`, N. A hand that grips such a group holds its moment, and where
-    links turn, their moments turn with them; an uneven table under unknown points shifts more.
+    For even masses of a weight of twice the `drag`, N. A hand holds the moment of the group that it grips; moments of
+    links turn with them; an uneven table under unknown points adds to it.
     """
     if not model.stands_in_groups:
         return torch.zeros((), dtype=torch.float64)
@@ -48,23 +47,23 @@ def carried_moment(model: ParticleModel, drag: Float[Tensor, ""], setup: SetupEr
 
 
 def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> Float[Tensor, "K 3+H"]:
-    """Standard deviations of the model's own error of each row, N and N m.
+    """Standard deviations of the model error of each row, N and N m.
 
     Args:
         windows: windows of an articulated object.
         sum_of_drag: sum over particles of the magnitudes of their drag along each row, N, N and N m, and N m about
             hinges.
     """
-    # windows of a trial are alike, and so are the errors of their drag
+    # windows of a trial share the error of their drag
     alike = windows.together.sum(1).sqrt()[:, None]
     wrench, hinge = sum_of_drag[:, :3], sum_of_drag[:, 3:]
-    # a hinge that may stand says nothing, and a row of zeros needs some error
+    # a hinge that may be at rest has a row of zeros, which needs some error
     off = HINGE_ERROR * hinge * alike + windows.standing.double() + LEAST_ERROR
     return torch.cat([FORCE_ERROR * wrench * alike, off], 1)
 
 
 def hinge_frictions(torque: Iterable[float], std: Iterable[float], widening: float) -> tuple[dict[str, float], str]:
-    """Friction of every hinge that was seen to turn, with its widened error, N m; and the others, in words."""
+    """Friction of every hinge that turned, with its widened error, N m; and a message that names the others."""
     named: dict[str, float] = {}
     unseen: list[str] = []
     for index, (each, error) in enumerate(zip(torque, std, strict=True)):
@@ -76,12 +75,12 @@ def hinge_frictions(torque: Iterable[float], std: Iterable[float], widening: flo
 
 
 def resting(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
-    """Part of the drag of each particle that may act any way as it hardly moves, one standard deviation along an axis.
+    """Part of the drag of each slow particle of unknown direction, one standard deviation along an axis.
 
-    As far as the camera shows it: its errors count as linear elsewhere.
+    A particle is slow up to the camera's error of its speed; that of faster ones has a linear effect.
     """
     known = table.velocity
-    ways = torch.eye(windows.links_off.shape[1], dtype=torch.float64)
-    off = torch.stack([table.moved({"links_seen": way}).velocity.mean(1) - known for way in ways])
+    errors = torch.eye(windows.links_off.shape[1], dtype=torch.float64)
+    off = torch.stack([table.moved({"links_seen": error}).velocity.mean(1) - known for error in errors])
     slow = RESTING**2 + off.square().sum((0, -1))
     return slow / (known.square().sum(-1) + slow) / 2**0.5

@@ -43,13 +43,13 @@ class LoadGroups:
 
 
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:
-    """Weight on one particle in contact of each pair a kg of its group's particle mass, N/kg."""
+    """Weight on one particle in contact of each pair per kg of its group's particle mass, N/kg."""
     feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
     return np.array([GRAVITY * shape.particles_per_group[m] / feet[m] for m, _ in pairs])
 
 
 def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:
-    """rank(Q) with columns scaled to unit length; a direction below 1e-3 of the strongest is not observed."""
+    """Rank of Q with columns scaled to unit length; singular values below 1e-3 of the largest count as 0."""
     scale = np.linalg.norm(q, axis=0)
     values = np.linalg.svd(q / np.where(scale > 0, scale, 1.0), compute_uv=False)
     return int((values > 1e-3 * values.max(initial=1e-300)).sum())

@@ -1,4 +1,4 @@
-"""Misfit of an answer: how far its wrenches are from the measured ones in units of their errors, and why."""
+"""Misfit of an estimate: residual of its wrenches in units of their errors, and the likely reason."""
 
 from __future__ import annotations
 
@@ -8,51 +8,51 @@ from typing import Literal
 from scipy.stats import chi2
 
 CHANCE = 1e-3
-"""Chance that the stated errors alone give as large a misfit, below which errors are widened."""
+"""Probability of a misfit as large under the stated errors, below which errors are widened."""
 UNEXPLAINED = 3.0
-"""Misfit from which an answer does not explain the trials, where it is no chance: the status `unexplained` of every
-method. Ours: three times the stated variance is more than calibration leaves, and a wrong support, sign or grasp gives
-ten and more."""
+"""Misfit above which an estimate does not explain the trials, unless by chance: the status `unexplained` of every
+method. Ours: calibration leaves less than three times the stated variance, and a wrong support, sign or grasp gives ten
+or more."""
 SAME_INERTIA = 0.02
-"""Part by which the inertia that trials show may differ from that of the masses, below which no weight is in doubt."""
+"""Relative difference between the inertia of trials and that of the masses below which the weight is not doubted."""
 NEXT = (
     "support_aware tests whether the groups rest on their own weight at all; heft doctor looks for a trial or an error "
     "of the setup that explains it"
 )
-"""Next step where an answer does not explain the trials."""
+"""Next step where an estimate does not explain the trials."""
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Misfit of an answer."""
+    """Misfit of an estimate."""
 
     value: float
     """Squared residual over its variance, mean over degrees of freedom: about 1, or less, where the model holds."""
     freedom: int
     """Degrees of freedom: rows less unknowns."""
     inertia: float | None = None
-    """Inertia that accelerated turns show over that of the masses, where it is what they do not explain."""
+    """Inertia that accelerated turns show over that of the masses, where the inertia is the cause; else None."""
     least: float | None = None
-    """Mean squared residual that the best friction loads leave; None where it is not asked for."""
+    """Misfit of the best friction loads; None where it is not computed."""
 
     @property
     def by_chance(self) -> bool:
-        """True if the stated errors alone may give it."""
+        """True if the stated errors alone explain the misfit."""
         return self.freedom < 1 or self.value <= max(1.0, float(chi2.isf(CHANCE, self.freedom)) / self.freedom)
 
     @property
     def widening(self) -> float:
-        """Factor of the covariance, the square of Birge's ratio; 1 where the misfit may be chance."""
+        """Factor on the covariance, the square of Birge's ratio; 1 where the misfit may be chance."""
         return 1.0 if self.by_chance else self.value
 
     @property
     def explains(self) -> bool:
-        """True if the answer explains the trials, by the errors stated or nearly."""
+        """True if the estimate explains the trials, by the stated errors or errors slightly larger."""
         return self.by_chance or self.value <= UNEXPLAINED
 
     @property
     def status(self) -> Literal["ok", "unexplained"]:
-        """Status of an answer of which nothing else is known."""
+        """Status of an estimate by its misfit alone."""
         return "ok" if self.explains else "unexplained"
 
     @property
@@ -62,7 +62,7 @@ class Misfit:
 
     @property
     def reason(self) -> str:
-        """Why the answer does not explain the trials; empty where it does."""
+        """Reason why the estimate does not explain the trials; empty where it does."""
         if self.explains:
             return ""
         size = f"{self.value:.2g}" if self.value < 100 else f"{self.value:.0f}"

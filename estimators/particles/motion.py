@@ -17,16 +17,16 @@ from testbed.objects.model import ObjectShape
 from testbed.sensing.windows import PARTS, SteadyWindow
 
 STANDING, MOST_STANDING = 0.002, 0.2
-"""Speed below which a particle of a link stands, m/s, and the part of a link's particles that may: one at which the
-link turns counts as an error."""
-SURE = 2.0
-"""Standard deviations of the camera's errors within which a whole link may stand, or start or stop."""
+"""Speed below which a particle of a link is at rest, m/s, and the largest part of a link's particles that are at rest
+in a steady window: those near the center of its turn."""
+ERROR_FACTOR = 2.0
+"""Standard deviations of the camera's errors within which a whole link may be at rest, or start or stop."""
 MAX_ACCELERATION = 0.8
-"""Angular acceleration of a link that starts or stops, rad/s^2: its drag is not Coulomb's of the mean motion."""
+"""Angular acceleration above which a link starts or stops, rad/s^2: its drag is not that of the mean motion."""
 
 
 class Planned(NamedTuple):
-    """Window of a planned action, by the names of `SteadyWindow`, over any number of parts."""
+    """Window of a planned action, over any number of parts; fields as in `SteadyWindow`."""
 
     trial: int
     accelerated: bool
@@ -69,26 +69,26 @@ class Motion:
     spin_square: Float[Tensor, "K"]
     """Mean square of the turn rate, rad^2/s^2."""
     grasp: Float[Tensor, "K 2"]
-    """Grasp point, or mean place of a push's fingertip, m, object frame."""
+    """Grasp point, or mean position of a push's fingertip, m, object frame."""
     yaw: Float[Tensor, "K 2"]
     """Yaw of the object at a window's first and last sample, rad."""
     poses: Float[Tensor, "K S 3"]
-    """Place of the TCP, m, and yaw of the object, rad, over each of the parts, world."""
+    """Position of the TCP, m, and yaw of the object, rad, over each of the parts, world."""
     held: Int[Tensor, "K 2"]
-    """Mass groups under the two pads, or twice that under the fingertip."""
+    """Mass groups under the two pads; for a fingertip twice the group under it."""
     trial: Int[Tensor, "K"]
-    """Trajectory that a window is from."""
+    """Index of each window's trajectory."""
     accelerated: Tensor
     """True for windows of constant acceleration, (K,) bool."""
     pushed: Tensor
-    """True for windows of a push, whose motion a camera sees and the hand does not hold, (K,) bool."""
+    """True for windows of a push, whose motion is measured by a camera, not by the hand, (K,) bool."""
     seen: Float[Tensor, "K 9 E"]
     """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
     window is of a push."""
     links: Float[Tensor, "K S L 9"]
     """Motion of each link of an articulated object over each of the parts, as `Chain.moved`; L = 0 of a rigid one."""
     links_off: Float[Tensor, "K E S L 9"]
-    """`links` after one standard deviation of each error of the camera that sees them; the last is its delay's."""
+    """`links` after one standard deviation of each error of their camera; the last is that of its delay."""
 
     def __len__(self) -> int:
         return len(self.grasp)
@@ -133,33 +133,33 @@ class LinkMotion:
 
     @property
     def is_unsteady(self) -> bool:
-        """True if part of a link stands, where what holds it is anything up to its friction, or starts or stops."""
+        """True if part of a link is at rest, where friction is indeterminate, or if a link starts or stops."""
         chain = self.shape.chain
         assert chain is not None and self.window.grasp is not None
-        unsure = SURE * np.linalg.norm(self.window.turned_errors[:, 2], axis=1)
-        if (np.abs(self.window.turned[..., 2]) - unsure > MAX_ACCELERATION).any():
+        margin = ERROR_FACTOR * np.linalg.norm(self.window.turned_errors[:, 2], axis=1)
+        if (np.abs(self.window.turned[..., 2]) - margin > MAX_ACCELERATION).any():
             return True
         offsets = self.shape.particles - self.shape.grasps[self.window.grasp].position
         of = chain.link[self.shape.mass_group]
         links, off = self.links(), self.links_off()
         each = ((links[:, k, None], off[:, :, k, None], offsets[of == k]) for k in range(chain.links))
-        return any(self._stands(*link) for link in each)
+        return any(self._at_rest(*link) for link in each)
 
     @staticmethod
-    def _stands(
+    def _at_rest(
         link: Float[np.ndarray, "S 1 9"], link_off: Float[np.ndarray, "E S 1 9"], offsets: Float[np.ndarray, "P 2"]
     ) -> bool:
-        """True if part of a link stands, or all of it may; `offsets` are its particles' from the grasp point, m."""
+        """True if part of a link is at rest, or all of it may be; `offsets` are its particles', from the grasp, m."""
         moving, off = velocities(link, offsets), velocities(link_off, offsets)
         speed, errors = np.linalg.norm(moving, axis=-1).mean(0), np.linalg.norm((off - moving).mean(1), axis=(0, -1))
-        return bool((speed < STANDING).mean() > MOST_STANDING or (speed < STANDING + SURE * errors).all())
+        return bool((speed < STANDING).mean() > MOST_STANDING or (speed < STANDING + ERROR_FACTOR * errors).all())
 
     def links(self) -> Float[np.ndarray, "S L 9"]:
         """Motion of every link as `Chain.moved`."""
         return self._moved(self.window.turned)
 
     def links_off(self) -> Float[np.ndarray, "E S L 9"]:
-        """`links` after each error of the camera: three of each link's own, and its delay's of all."""
+        """`links` after each error of the camera: three of each link, and one of its delay for all."""
         turned, errors = self.window.turned, self.window.turned_errors
         links = np.eye(len(errors))[:, :, None]
         own = [link * errors[index, :, each] for index, link in enumerate(links) for each in range(3)]
@@ -174,13 +174,17 @@ class LinkMotion:
             return np.zeros((len(turned), 0, 9))
         grasp = self.shape.grasps[self.window.grasp]
         held = int(chain.link[self.shape.pressed(grasp)[0]])
-        turned = turned - turned[:, held, None] * [1, 0, 0]  # the hand knows where it is; links show each other
+        turned = turned - turned[:, held, None] * [
+            1,
+            0,
+            0,
+        ]  # the hand's pose is known; the camera measures links relative to each other
         twists = np.tile(self.window.twists, (len(turned) // PARTS, 1))
         return chain.moved(held, grasp.position, twists, self.window.acceleration, turned)
 
 
 def _held(shape: ObjectShape, window: SteadyWindow | Planned) -> tuple[np.ndarray, tuple[int, int]]:
-    """Point about which moments are, and the mass groups that the pads or the fingertip press on."""
+    """Reference point of moments, and the mass groups under the pads or the fingertip."""
     if window.grasp is not None:
         return shape.grasps[window.grasp].position, shape.pressed(shape.grasps[window.grasp])
     assert window.point is not None
@@ -188,6 +192,6 @@ def _held(shape: ObjectShape, window: SteadyWindow | Planned) -> tuple[np.ndarra
 
 
 def touched(shape: ObjectShape, point: np.ndarray) -> tuple[int, int]:
-    """Mass group that a fingertip touches at a point [m, object frame], twice: as if under two pads."""
+    """Mass group that a fingertip touches at a point [m, object frame], twice: one for each of two pads."""
     group = int(shape.mass_group[np.linalg.norm(shape.particles - point, axis=1).argmin()])
     return group, group

@@ -24,7 +24,7 @@ from testbed.worlds.setup_errors import SetupErrors
 ONE_PIECE = (
     "an object with hinges, which this method takes for one piece: hidden_states, bayes and least_squares know links"
 )
-"""Why a method gives no answer on an articulated object."""
+"""Message of a method that takes no articulated object."""
 ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
 NO_DATA = "no trajectory with status ok that slides or turns at constant speed, for 1.2 s or more"
 NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
@@ -49,7 +49,7 @@ def observe(
 
 @lru_cache(maxsize=8)
 def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: ModelErrors) -> Observations | None:
-    """Windows of the last trials: every method on them, and every misfit, asks for the same."""
+    """Windows of trials, cached for the methods and misfits that need those of the same trials."""
     windows: list[SteadyWindow] = []
     trial: list[int] = []
     accelerated: list[bool] = []
@@ -65,15 +65,15 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
         return None
     wrench = np.array([w.wrench for w in windows])
     noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
-    carries = np.array([load_map(w.tcp_height) for w in windows])
+    to_load = np.array([load_map(w.tcp_height) for w in windows])
     drift = np.array([w.drift_covariance for w in windows])
     off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
     setup = SetupErrors.largest([trajectories[index].setup for index in set(trial)])
     drag = torch.tensor(np.linalg.norm(wrench[:, :2], axis=1).max())
     likely = shrunken_load(
-        np.einsum("kij,kj->ki", carries, wrench),
-        np.einsum("kij,kjl,kil->ki", carries, off, carries),
-        np.einsum("kij,kjl,kil->ki", carries, noise, carries),
+        np.einsum("kij,kj->ki", to_load, wrench),
+        np.einsum("kij,kjl,kil->ki", to_load, off, to_load),
+        np.einsum("kij,kjl,kil->ki", to_load, noise, to_load),
         np.array(trial),
         np.array(accelerated),
         errors.nulled,
@@ -93,7 +93,7 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
         "drift": drift,
         "lift": likely.load[:, 0],
         "tilt": likely.load[:, 1:],
-        "load_map": carries,
+        "load_map": to_load,
         "load_kept": likely.kept,
         "load_followed": likely.followed,
         "load_size": likely.size,
@@ -111,10 +111,10 @@ def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWin
 
 
 def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the means of noise, and of the tare's bias, (K, 6, 6).
+    """Covariance of the means by noise, and by the tare's bias, (K, 6, 6).
 
-    A short window's scatter determines its noise badly, and an accelerating arm swings: its noise per second is taken
-    from the windows of constant speed, where there are any. Tares are alike in all trials.
+    Accelerated windows are short, and an accelerated arm swings: their noise density is that of the windows of constant
+    speed, where there are any. The bias is averaged over the trials.
     """
     length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
     density = np.array([w.covariance for w in windows]) * length

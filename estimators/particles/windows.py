@@ -22,7 +22,7 @@ from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 PLANAR = [0, 1, 5]
 """f_x, f_y and the torque about the vertical, of a wrench's six components."""
 SLOWEST = 0.01
-"""Turn of a hinge against the links' camera below which it may stand, rad/s."""
+"""Rate of a hinge below which it may be at rest, rad/s."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,9 +34,9 @@ class Observations(Motion):
     noise: Float[Tensor, "K 6 6"]
     """Covariance of the mean of all six components, about the TCP, from the window's own noise."""
     bias: Float[Tensor, "K 6 6"]
-    """Covariance of the bias that the sensor's tare leaves in them, one draw a trajectory."""
+    """Covariance of the bias that the sensor's tare leaves in them, shared by the windows of a trajectory."""
     drift: Float[Tensor, "K 6 6"]
-    """Covariance that the walk of the sensor's zero adds a second."""
+    """Covariance that the random walk of the sensor's zero adds per second."""
     lift: Float[Tensor, "K"]
     """Vertical force of the gripper on the object, N."""
     tilt: Float[Tensor, "K 2"]
@@ -50,9 +50,9 @@ class Observations(Motion):
     load_map: Float[Tensor, "K 3 6"]
     """Map from the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
-    """Part of a trial's common lift and tilt that stands out of the bias, 0 to 1; the rest is taken as none."""
+    """Shrinkage factor of a trial's mean lift and tilt, 0 to 1."""
     load_followed: Float[Tensor, "K 3"]
-    """Part of their change from window to window of a trial that stands out of the noise, 0 to 1."""
+    """Shrinkage factor of their change from window to window of a trial, 0 to 1."""
     load_size: Float[Tensor, "K 3"]
     """Standard deviation of a trial's mean lift and tilt, N and N m."""
     load_change: Float[Tensor, "K 3"]
@@ -60,10 +60,10 @@ class Observations(Motion):
     setup: SetupErrors = EXACT_SETUP
     """Errors of the setup as stated, the largest of all trials."""
     _tables: dict[tuple[object, ...], Table] = field(default_factory=dict, init=False, repr=False)
-    """Forward models that were asked for: rounds of solving ask for the same."""
+    """Cache of forward models, by model, pivot error and spread."""
 
     def like(self, by_window: dict[str, Tensor]) -> Self:
-        """Windows of such fields in this setup."""
+        """Windows of other fields in the same setup."""
         return replace(self, **by_window)  # pyright: ignore[reportArgumentType]
 
     @property
@@ -76,7 +76,7 @@ class Observations(Motion):
         return self.like({name: value[keep] for name, value in self.by_window.items()})
 
     def merged(self, group: Int[Tensor, "K"]) -> Self:
-        """Means over windows of one group, 0 to G - 1; values that are no numbers are the first window's."""
+        """Means over the windows of each group, 0 to G - 1; integers and booleans are those of its first window."""
         first = torch.stack([torch.nonzero(group == g)[0, 0] for g in range(int(group.max()) + 1)])
 
         def mean(values: Tensor) -> Tensor:
@@ -87,7 +87,7 @@ class Observations(Motion):
 
     @staticmethod
     def stacked(draws: Sequence[Observations]) -> Observations:
-        """Windows of D draws, equal in number, with leading axes (D, 1): the 1 meets candidates."""
+        """Windows of D draws, equal in number, with leading axes (D, 1); the second axis broadcasts over candidates."""
         return draws[0].like(
             {name: torch.stack([getattr(d, name) for d in draws])[:, None] for name in draws[0].by_window}
         )
@@ -99,17 +99,17 @@ class Observations(Motion):
 
     @property
     def covariance(self) -> Float[Tensor, "K 3 3"]:
-        """Covariance of `wrench` from the window's own noise."""
+        """Covariance of `wrench` by the window's own noise."""
         return self.noise[:, PLANAR][:, :, PLANAR]
 
     @property
     def together(self) -> Float[Tensor, "K K"]:
-        """1 for windows of the same trial."""
+        """1 for pairs of windows of the same trial, else 0."""
         return (self.trial[:, None] == self.trial).double()
 
     @property
     def articulated(self) -> bool:
-        """True if the object has links, which move on their own."""
+        """True if the object has links behind hinges."""
         return self.links.shape[-2] > 0
 
     @property
@@ -120,14 +120,14 @@ class Observations(Motion):
     def table(self, model: ParticleModel, pivot_error: float = 0.0, *, spread: bool | None = None) -> Table:
         """Forward model of the windows, without friction.
 
-        The drag of a foot that may lie on either side of the center of a turn fades within the error of its place: no
-        derivative at one place would show the other.
+        The drag of a foot near the center of a turn fades within the error of the foot's position, since the derivative
+        at one position does not show the reversal of the drag on the other side.
 
         Args:
             model: particles of the object.
             pivot_error: error of the center of a turn, m.
-            spread: True where each particle touches anywhere in its cell, at four points for the mean over it; False
-                where each is taken at its middle alone; if left out, what the setup knows of the points of contact.
+            spread: True for contact anywhere in each cell, at four quadrature points; False for contact at the middle
+                of each particle; if left out, True where the setup has unknown points of contact.
         """
         asked = (model, pivot_error, spread)
         if asked not in self._tables:
@@ -164,7 +164,7 @@ class Observations(Motion):
             own = {
                 "trailing": still[:, 0, :, :2],
                 "held": torch.ones(count, 1, dtype=torch.float64),
-                # the rates of a pushed object are a camera's noise, and its friction leads by 0.5 ms alone
+                # rates of a pushed object are mostly noise of the camera, and its friction leads by only 0.5 ms
                 "ahead": self.twist_rates * grip[:, None, None],
             }
         return own | {
@@ -183,7 +183,7 @@ class Observations(Motion):
     def drag_rows(self, model: ParticleModel, pivot_error: float) -> Float[Tensor, "K 3 P"]:
         """Wrench about the grasp point that drags each particle against a friction of 1 N.
 
-        Means over each window, and over a particle's cell where the object may touch the table anywhere under it.
+        Mean over each window, and over each cell where the points of contact in it are unknown.
 
         Args:
             model: particles of the object.
@@ -198,7 +198,7 @@ class Observations(Motion):
 
     @property
     def standing(self) -> Tensor:
-        """True of hinges that may stand or turn back within a window, (K, H): friction has no known direction there."""
+        """True for hinges that may be at rest or reverse within a window, (K, H): their friction has no known sign."""
         rates = self.hinge_rates
         off = torch.diff(self.links_off[..., 5], dim=3) - rates[:, None]
         least = rates.abs() - 3 * off.square().sum(1).sqrt()
@@ -206,7 +206,7 @@ class Observations(Motion):
 
     @property
     def twist_rates(self) -> Float[Tensor, "K S 3"]:
-        """Change of `twists` from part to part per second; of one part, of its turn rate alone, m/s^2 and rad/s^2."""
+        """Derivative of `twists` in time, m/s^2 and rad/s^2; with a single part only that of the turn rate, else 0."""
         parts = self.twists.shape[1]
         if parts < 2:
             return torch.nn.functional.pad(self.acceleration[:, None, 2:], (2, 0))
@@ -215,9 +215,9 @@ class Observations(Motion):
 
     @property
     def twist_noise(self) -> Float[Tensor, "3"]:
-        """Variance of a window's mean twist from the noise of the hand's measured motion, the same in all windows.
+        """Variance of a window's mean twist by the noise of the hand's measured motion, the same in all windows.
 
-        From fifth differences of its parts, which leave out a center that wanders.
+        By fifth differences of its parts, which remove a wandering center.
         """
         parts = self.twists.shape[1]
         if parts < 6:
@@ -236,12 +236,12 @@ class Observations(Motion):
 
         Args:
             model: particles of the object.
-            mass: mass of each particle, kg: its motion takes a wrench at half the object's height over the feet.
+            mass: mass of each particle, kg; its inertia acts at half the object's height over the feet.
             height: height of the object, m.
         """
         table = self.table(model)
         moved = height / 2 * table.motion(mass)[:, :2]
-        # only the kept parts of the tilt hold the mass's own moment; at one speed it is the same there and back
+        # only the kept parts of the tilt contain the inertial moment; at constant speed it is the same both ways
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
         mean = self.together / self.together.sum(1, keepdim=True)  # over the windows of each trial
         change = torch.eye(len(self), dtype=torch.float64) - mean

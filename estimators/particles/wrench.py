@@ -1,4 +1,4 @@
-"""Wrenches that friction and motion take, from candidate masses and frictions."""
+"""Wrenches of friction and inertia under candidate masses and frictions."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from testbed.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class AffineLoads:
-    """Normal load of every particle in every window, affine in the masses: their weight, and the gripper's load."""
+    """Normal load of every particle in every window: linear in the masses, plus the gripper's load."""
 
     per_mass: Float[Tensor, "K P n_m"]
-    """Load a kg of each particle mass, N/kg."""
+    """Load per kg of each group's particle mass, N/kg."""
     carried: Float[Tensor, "K P"]
     """Load of the gripper, N."""
 
@@ -34,7 +34,7 @@ class AffineLoads:
     def of(
         shape: ObjectShape, model: ParticleModel, windows: Observations, loads_of: LoadsOf = own_weight_loads
     ) -> AffineLoads:
-        """Loads of a support model, probed with one particle mass of 2 kg among ones."""
+        """Loads of a support model, by evaluating it at particle masses of 1 kg, with 2 kg in one group at a time."""
 
         def loads(mass: Tensor) -> Tensor:
             particle_mass = model.particle_mass(mass)
@@ -59,15 +59,15 @@ class AffineLoads:
 
 @dataclass(frozen=True, eq=False)
 class WrenchModel:
-    """Wrench that the measured motion takes, r components in K windows, bilinear in mass and friction.
+    """Wrench of the measured motion, r components in K windows, bilinear in mass and friction.
 
-    Planar, (f_x, f_y, torque about the grasp point), or as the sensor shows all six of a gripper that carries nothing.
+    Planar, (f_x, f_y, torque about the grasp point), or all six components of a gripper without load.
 
     wrench = inertial m + sum_k mu_k (weighed_k m + carried_k).
     """
 
     inertial: Float[Tensor, "K r n_m"]
-    """Wrench of the motion itself a kg of each particle mass."""
+    """Wrench of inertia per kg of each group's particle mass."""
     weighed: Float[Tensor, "n_mu K r n_m"]
     """Drag of a friction of 1 under the weight of the masses."""
     carried: Float[Tensor, "n_mu K r"]
@@ -83,7 +83,7 @@ class WrenchModel:
     def by_rows(
         model: ParticleModel, inertial: Float[Tensor, "K r n_m"], rows: Float[Tensor, "K r P"], loads: AffineLoads
     ) -> WrenchModel:
-        """The model by its rows a kg of each particle mass, and those of a friction of 1 N of each particle."""
+        """The model from its rows per kg of particle mass, and per N of each particle's friction."""
         of_group = [rows * (model.friction_group == k) for k in range(int(model.friction_group.max()) + 1)]
         weighed = torch.stack([part @ loads.per_mass for part in of_group])
         carried = torch.stack([(part @ loads.carried[..., None])[..., 0] for part in of_group])
@@ -106,15 +106,15 @@ class WrenchModel:
 def predicted_wrenches(
     shape: ObjectShape, distribution: MassDistribution, trajectories: Sequence[Trajectory]
 ) -> list[Float[np.ndarray, "T 3"]]:
-    """Force x, y (N) and torque about the grasp point (N m), object axes, that the measured motion takes.
+    """Force x, y (N) and torque about the grasp point (N m) of the measured motion, object axes.
 
-    Every mass group rests on its own weight, an object with a part in the air as one rigid body, and on the measured
-    load of the gripper.
+    Every mass group rests on its own weight, an object with a part in the air as one rigid body; loads include the
+    measured load of the gripper. NaN outside steady stretches and in trajectories that estimates leave out.
 
     Args:
         shape: geometry.
         distribution: masses and frictions, true or estimated.
-        trajectories: trajectories of one object; NaN outside steady stretches and where estimates leave one out.
+        trajectories: trajectories of one object.
     """
     predicted = [np.full((len(t.time_s), 3), np.nan) for t in trajectories]
     windows = observe(shape, trajectories)

@@ -1,7 +1,8 @@
-"""Physics, windows and answers of objects that the hand does not hold: links behind hinges, and pushed objects."""
+"""Objects that the hand does not hold rigidly, links behind hinges and pushed ones: physics, windows, and estimates."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,12 +42,13 @@ from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes, drag_of, steady_pushes
 from tests.helpers.answers import ask, claimed, found, nad, true_values, windows_of
 from tests.helpers.blocks import blocks
+from tests.helpers.simulated import clean
 
 slow = pytest.mark.slow
 
 
 def bar(links: list[int], masses: list[float], torques: list[float]) -> ObjectModel:
-    """A bar of 30 mm blocks, so many in each link."""
+    """A bar of 30 mm blocks, their number in each link given."""
     made = blocks(["1" * sum(links)], masses, 0.4, size=0.03, height=0.02)
     at = (np.cumsum(links)[:-1] - sum(links) / 2) * 0.03
     chain = Chain(np.repeat(np.arange(len(links)), links), np.column_stack([at, np.zeros(len(at))]))
@@ -60,14 +62,10 @@ BESIDE = 0.015
 
 def drags(obj: ObjectModel) -> list[Slide | Rotate]:
     """Slides and turns by two grasps: at the ends of two links, on the middle one of three."""
-    one, two = (0, 3) if obj is TWO else (2, 3)
-    beside = [tuple((obj.shape.grasps[g].position + BESIDE).tolist()) for g in (one, two)]
-    return [
-        Slide(one, np.pi / 2, duration=2.5),
-        Slide(two, -np.pi / 2, duration=2.5),
-        Rotate(one, duration=2.5, pivot=beside[0]),
-        Rotate(two, duration=2.5, pivot=beside[1]),
-    ]
+    grasps, (one, two) = obj.shape.grasps, (0, 3) if obj is TWO else (2, 3)
+    pivots = {g: tuple((grasps[g].position + BESIDE).tolist()) for g in (one, two)}
+    slides = [Slide(one, np.pi / 2, duration=2.5), Slide(two, -np.pi / 2, duration=2.5)]
+    return [*slides, *(Rotate(g, duration=2.5, pivot=pivot) for g, pivot in pivots.items())]
 
 
 def hinges_of(obj: ObjectModel, answer: Estimate) -> list[float]:
@@ -79,28 +77,20 @@ def trials_of(obj: ObjectModel, **rates: float) -> list[Trajectory]:
     return [analytic_links(obj, action, **rates) for action in drags(obj)]
 
 
+def planned(**fields: Any) -> Planned:
+    """Window of a turn of TWO about its hinge by grasp 0, at 0.5 rad/s."""
+    assert TWO.shape.chain is not None
+    arm = TWO.shape.grasps[0].position - TWO.shape.chain.hinges[0]
+    twists, poses = np.tile([*0.5 * perpendicular(arm), 0.5], (PARTS, 1)), np.zeros((PARTS, 3))
+    return Planned(0, False, 0, None, np.array([0.0, 1.0]), twists, np.zeros(3), 0.25, poses)._replace(**fields)
+
+
 @pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])
-def test_a_link_that_may_be_at_rest_for_all_a_camera_sees_is_left_out(error, unsteady):
-    """The hand turns about the hinge, so that the other link rests; its rate is seen as 0.2 rad/s."""
-    shape, chain, part = TWO.shape, TWO.shape.chain, np.ones((PARTS, 1))
-    assert chain is not None
-    arm = shape.grasps[0].position - chain.hinges[0]
+def test_a_window_in_which_a_link_may_rest_by_the_errors_of_the_camera_is_unsteady(error, unsteady):
+    """The other link rests; its rate is measured as 0.2 rad/s."""
     turned, errors = np.zeros((PARTS, 2, 3)), np.zeros((2, 3, 4))
     turned[:, :, 1], errors[1, 1, 0] = (0.5, 0.2), error
-    window = Planned(
-        trial=0,
-        accelerated=False,
-        grasp=0,
-        point=None,
-        since_tare=np.array([0.0, 1.0]),
-        twists=part * [*0.5 * perpendicular(arm), 0.5],
-        acceleration=np.zeros(3),
-        spin_square=0.25,
-        poses=part * np.zeros(3),
-        turned=turned,
-        turned_errors=errors,
-    )
-    assert LinkMotion(shape, window).is_unsteady == unsteady
+    assert LinkMotion(TWO.shape, planned(turned=turned, turned_errors=errors)).is_unsteady == unsteady
 
 
 def test_hinges_join_links_and_rates_are_those_of_places():
@@ -151,7 +141,7 @@ def test_masses_and_hinges_are_recovered_without_noise(obj: ObjectModel, rates: 
 
 @slow
 @pytest.mark.parametrize(("obj", "unknown"), [(TWO, 5), (THREE, 8)], ids=["two links", "three"])
-def test_slides_and_turns_show_every_mass_and_hinge_and_a_wrench_alone_does_not(obj: ObjectModel, unknown: int):
+def test_slides_and_turns_show_every_mass_and_hinge_and_one_wrench_does_not(obj: ObjectModel, unknown: int):
     trial = TrialWindows.of(obj.shape, obj.total_mass, trials_of(obj), EXACT)
     assert trial is not None
     equations = trial.friction_equations(obj.truth)
@@ -199,7 +189,7 @@ def test_a_hinge_that_stands_has_no_row():
 
 
 @slow
-def test_a_hinge_that_never_turns_is_not_seen():
+def test_a_hinge_that_never_turns_is_not_observed():
     half = bar([2, 2, 2], list(THREE.truth.mass * THREE.shape.particles_per_group), [0.004, 1.0])
     more = [Rotate(0, duration=4.0, pivot=(-0.09, 0.02)), Slide(0, -np.pi / 2, duration=4.0)]
     trials = [SimulationRunner().run(Trial(half, action)) for action in [*drags(THREE), *more]]
@@ -277,7 +267,8 @@ I2 = load_object("I2")
 
 @pytest.fixture(scope="module")
 def windows():
-    records = [SimulationRunner().run_clean(Trial(I2, Accelerate(grasp))) for grasp in (0, 1, 4)]
+    """Windows of accelerated turns of I2 in simulation, by a perfect sensor."""
+    records = [clean("I2", Accelerate(grasp)) for grasp in (0, 1, 4)]
     return windows_of(I2, [draw_sensing(record, preset("ideal"), 0) for record in records])
 
 
@@ -293,14 +284,14 @@ def missing(windows):
 
 
 @pytest.mark.slow
-def test_feet_lead_by_the_time_of_their_damping(windows):
+def test_friction_leads_by_the_time_of_its_damping(windows):
     leads = np.arange(0.0, 0.041, 0.005)
     left = [float(missing(replace(windows, twists=windows.twists + t * windows.twist_rates)).norm()) for t in leads]
     assert leads[np.argmin(left)] == pytest.approx(1 / ContactSettings().friction_damping)
     assert min(left) < 0.5 * left[0]
 
 
-def test_the_column_of_the_lead_is_what_it_leaves(windows):
+def test_the_derivative_in_the_lead_explains_the_residual(windows):
     model, errors = ParticleModel.of(I2.shape), ModelErrors()
     loads = AffineLoads.of(I2.shape, model, windows, own_weight_loads)
     drag, mass = model.particle_friction(FRICTION) * loads.at(MASS), model.particle_mass(MASS)
@@ -309,13 +300,8 @@ def test_the_column_of_the_lead_is_what_it_leaves(windows):
     left = missing(windows).flatten()
     size = float(column @ left / (column @ column))
     assert 0.5 < size < 1.5 and float((left - size * column).norm()) < 0.7 * float(left.norm())
-
-
-def test_what_does_not_accelerate_has_no_lead(windows):
     still = replace(windows, twists=windows.twists.mean(1, keepdim=True).expand_as(windows.twists))
-    model = ParticleModel.of(I2.shape)
-    table = still.table(model).dragged(torch.ones(len(model.particles), dtype=torch.float64))
-    assert not table.linearized(zeros(lead=()))[1]["lead"].any()
+    assert not still.table(model).dragged(drag).linearized(zeros(lead=()))[1]["lead"].any()
 
 
 BLOCKS = drawn_object(3, ["11", "11", "11"])
@@ -331,7 +317,7 @@ def test_a_pushed_disc():
     still = np.zeros(2)
     assert disc.wrench(np.array([0.02, 0.0, 0.0]), still) == pytest.approx([3.0, 0.0, 0.0], abs=1e-9)
     assert disc.wrench(np.array([0.0, 0.0, 1.0]), still)[2] == pytest.approx(2 / 3 * 3.0 * 0.04, rel=0.01)
-    # through its center it does not turn; beside it, it turns away
+    # pushed through its center it does not turn; beside its center it turns away
     ahead = np.array([[1.0, 0.0], [1.0, 0.0]])
     twists = disc.pushed(np.array([[-0.04, 0.0], [-0.04, 0.01]]), 0.03 * ahead, ahead, np.array([0.4, 0.4]))
     assert twists[0] == pytest.approx([0.03, 0.0, 0.0], abs=1e-9)
@@ -399,28 +385,21 @@ def test_the_rank_of_q_grows_within_one_push():
     assert ranks == sorted(ranks) and ranks[0] <= 3 < ranks[-1]
 
 
-def test_the_answer_explains_the_wrench_sample_by_sample():
+def test_windows_of_a_push_are_of_its_contact_in_sight_of_the_camera_and_predicted_sample_by_sample():
     trial = steady_pushes(BLOCKS, CENTERS[:1], seconds=2.0)[0]
     predicted = predicted_wrenches(BLOCKS.shape, BLOCKS.truth, [trial])[0]
     inside = ~np.isnan(predicted[:, 0])
     assert inside.sum() > 150 and np.abs(predicted - wrench_in_object(trial)[:, [0, 1, 5]])[inside].max() < 1e-4
-
-
-def test_windows_are_of_the_stretch_in_contact_that_the_camera_saw():
-    trial = steady_pushes(BLOCKS, CENTERS[:1], seconds=2.0)[0]
     wrench = np.array(trial.wrench_on_object_world)
     wrench[150:] = 0.0
     lost = replace(trial, wrench_on_object_world=wrench)
     assert touching(lost)[-1] in range(146, 153)
     assert len(push_windows(lost)) == 2 < len(push_windows(trial)) == 4
-    for bad in (
-        replace(trial, camera=None),
-        replace(trial, status="fault"),
-        replace(lost, wrench_on_object_world=0 * wrench),
-    ):
+    no_contact = replace(lost, wrench_on_object_world=0 * wrench)
+    for bad in (replace(trial, camera=None), replace(trial, status="fault"), no_contact):
         with pytest.raises(InvalidValueError):
             push_windows(bad)
-    # without frames in its second half, what was seen still counts
+    # frames of the first half count without any of the second
     assert trial.camera is not None
     poses = np.array(trial.camera.poses)
     poses[100:] = np.nan

@@ -1,4 +1,4 @@
-"""Estimator that chooses the support model: the posterior on own weight, under one rigid body all masses that fit."""
+"""Estimator that chooses the support model: posterior on own weight, or mean of the masses of one rigid body."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ from testbed.trajectory import Trajectory
 from testbed.validation import is_number
 
 UNFIT = 1e-4
-"""p-value below which the materials given are taken not to be the object's."""
+"""p-value below which the given materials are rejected."""
 NARROW = 0.1
-"""Width of the widest range, as a part of M, below which the masses of one rigid body are taken as determined."""
-WEIGHED = 0.01
-"""Error of the weight, as a part of it, where trials that do not agree widen all others. Ours."""
-MISSED = 3.0
-"""Standard errors by which every map of masses >= 0 may miss what was measured, before an answer is `unexplained`: at
-the edge of what masses can make, the errors that are claimed shrink to nothing."""
+"""Width of the widest range, relative to M, below which the masses of one rigid body count as determined."""
+WEIGHT_ERROR = 0.01
+"""Relative error of the weight where the misfit of contradictory trials widens all errors. Ours."""
+MAX_MISS = 3.0
+"""Standard errors by which all maps of masses >= 0 may miss the measurements before an estimate is `unexplained`: near
+the boundary of possible masses the stated errors vanish."""
 MOST_LISTED = 8
-"""Ranges that a message lists."""
+"""Largest number of ranges in a message."""
 
 
 @dataclass(frozen=True)
 class SupportAware:
     """Tests which support model holds, and estimates by it.
 
-    Lifts, where there are any, add M, c and second moments in the air, whatever the support on the table.
+    Lifts add M, c and second moments, independently of the support on the table.
 
     On own weight the estimate is that of the joint posterior. Under one rigid body friction shows M and c only: the
-    estimate is the mean of all masses that agree with M, c and I_cm, with their covariance, and the message gives their
-    ranges. With materials it is the most probable assignment of them.
+    estimate is the mean of all masses that agree with M, c and I_cm, with their covariance, and the message states
+    their ranges. With materials it is their most probable assignment.
     """
 
     materials_kg: tuple[float, ...] = ()
     """Masses that a whole mass group may have, kg; empty where they are not known."""
     materials_kg_m3: tuple[float, ...] = ()
-    """Densities that a mass group may have, kg/m^3, in place of masses; a group is as high as the object."""
+    """Densities that a mass group may have, kg/m^3, instead of masses; a group is as high as the object."""
     false_alarms: float = 0.01
     """Probability of refusing own weight where it holds."""
     confidence: float = 0.9
@@ -73,7 +73,7 @@ class SupportAware:
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
     ) -> Estimate:
-        """Estimate from trials on the table and lifts; `seed` for the draws within the polytope.
+        """Estimate from trials on the table and lifts; `seed` is that of the draws within the polytope.
 
         Raises:
             InvalidValueError: no weight, or more materials than can be ranked.
@@ -86,12 +86,12 @@ class SupportAware:
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
     ) -> Estimate:
         rigid = posterior_of(shape, weight, trajectories, "rigid") if shape.chain is None else None
-        if not shape.stands_in_groups:  # one rigid body: there is no support to choose
+        if not shape.stands_in_groups:  # one rigid body: no support to choose
             return Estimate(None, "no_data", NO_DATA) if rigid is None else self._one_body(shape, weight, rigid, seed)
         own = posterior_of(shape, weight, trajectories)
         if own is None:
             return Estimate(None, "no_data", NO_DATA if shape.chain is None else NO_LINKS)
-        if rigid is None or shape.n_m == 1:  # links rest on their own weight; one group does, however it touches
+        if rigid is None or shape.n_m == 1:  # links and single groups rest on their own weight
             return replace(own.leaning().estimate(shape), assumes=ASSUMPTION["own_weight"])
         assert weight is not None
         return self._either(shape, weight, trajectories, own, rigid, seed)
@@ -106,7 +106,7 @@ class SupportAware:
             NARROW * weight
         ):
             answer = replace(answer, status="ok", message="")
-        if answer.diagnostics["polytope_miss"] > MISSED:
+        if answer.diagnostics["polytope_miss"] > MAX_MISS:
             why = f"no masses of the parts have the {known} that were measured: an error is larger than stated"
             return replace(answer, status="unexplained", message=_joined(why, answer.message))
         if not rigid.explained.explains:
@@ -144,23 +144,23 @@ class SupportAware:
         message = _joined(test.sentence if test.kind != "own_weight" else "", answer.message)
         if test.kind == "rigid":
             return replace(answer, status="assumption_violated", message=message)
-        # the answer may be wrong by as much as another support's is elsewhere
+        # the covariance includes the difference to the estimate of the other support
         other = on_own if as_rigid else on_rigid
         if test.shared is not None:
             return replace(answer, status="assumption_violated", message=message)
         share = 1 / (1 + 10**test.log10_bayes_factor) if test.kind == "undecided" else 0.5
         status = {"between": "assumption_violated", "undecided": "underdetermined"}.get(test.kind, answer.status)
-        return replace(_wide(answer, other, share), status=status, message=message)
+        return replace(_with_other(answer, other, share), status=status, message=message)
 
     def _rigid(
         self, shape: ObjectShape, weight: float, rigid: Posterior, numbers: dict[str, float], seed: int
     ) -> Estimate:
-        """Estimate from the masses that agree with what one rigid body shows."""
+        """Estimate from the masses that agree with the quantities that one rigid body shows."""
         count, known = shape.particles_per_group, _known(rigid)
         rows, values = rigid.mass_equations()
         if not rigid.explained.explains:  # their errors are widened by the misfit; the weight holds as it did
-            rows = np.vstack([rows, count / (WEIGHED * weight)])
-            values = np.append(values, 1 / WEIGHED)
+            rows = np.vstack([rows, count / (WEIGHT_ERROR * weight)])
+            values = np.append(values, 1 / WEIGHT_ERROR)
         polytope = MassPolytope(rows, values)
         mean, covariance = polytope.posterior(seed)
         low, high = (end * count for end in polytope.ranges(self.confidence))
@@ -176,7 +176,7 @@ class SupportAware:
         )
         ranges = [f"{name} {a:.3f} to {b:.3f} kg" for name, a, b in zip(shape.group_names, low, high, strict=True)]
         listed = ", ".join(ranges[:MOST_LISTED]) + (", ..." if len(ranges) > MOST_LISTED else "")
-        holds = rigid.explained.explains and polytope.inside[1] <= MISSED
+        holds = rigid.explained.explains and polytope.inside[1] <= MAX_MISS
         ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
             MassDistribution(mean, rigid.unknowns.values(rigid.optimum.z)["friction"].numpy()),
@@ -209,7 +209,7 @@ class SupportAware:
         many, best = ranked.holding(0.9), float(ranked.probability[0])
         numbers["assignment_probability"] = best
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
-        refuted = answer.status == "unexplained"  # by the masses that fit best, so by these too
+        refuted = answer.status == "unexplained"  # the best masses are refuted, and so are these
         several = f"{many}" if many is not None else f"more than {len(ranked.probability)}"
         message = (
             f"{several} assignments of the materials hold 90 % of the probability; the best has {100 * best:.3g} %"
@@ -225,14 +225,14 @@ class SupportAware:
 
 
 def _known(rigid: Posterior) -> str:
-    """Numbers that one rigid body shows, in words."""
+    """Names of the quantities that one rigid body shows."""
     if any(isinstance(each, InAir) for each in rigid.measurements):
         return "M, c and the second moments"
     return "M, c and I_cm" if rigid.swung else "M and c"
 
 
-def _wide(answer: Estimate, other: Estimate, share: float) -> Estimate:
-    """The answer with errors that allow for another one, whose probability is `share`."""
+def _with_other(answer: Estimate, other: Estimate, share: float) -> Estimate:
+    """The estimate with the covariance of a mixture with another one, whose probability is `share`."""
     assert answer.distribution is not None and answer.covariance is not None
     assert other.distribution is not None and other.covariance is not None
     apart = other.distribution.mass - answer.distribution.mass

@@ -1,7 +1,7 @@
 """Assignments of a few known materials to blocks, ranked by how well they fit the measurements.
 
-Exact: every assignment is either scored or shown to be too far off to matter. The assignments of either half of the
-blocks are listed, and of their pairs only those whose sum is near what the surest measurement says are scored.
+Exact: every assignment is scored or has a negligible probability by a bound. The assignments of each half of the blocks
+are listed, and only those pairs are scored whose sum is near the value of the most precise measurement.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from scipy.stats import chi2
 from testbed.errors import InvalidValueError
 
 MOST_BLOCKS = 20
-"""Beyond this the list is not exhausted in seconds."""
+"""Largest number of blocks: more take longer than seconds."""
 MOST_PAIRS = 4e9
-"""Assignments that may be scored."""
+"""Largest number of assignments."""
 LEFT_OUT = 1e-6
-"""Share of probability that may be left unscored, at most."""
+"""Upper bound of the share of probability that is not scored."""
 KEPT = 20_000
-"""Best assignments that are kept one by one."""
+"""Number of best assignments that are listed."""
 CHUNK = 1 << 22
-"""Pairs scored at a time."""
+"""Number of pairs in a batch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +35,14 @@ class RankedAssignments:
     material: Int[np.ndarray, "S n_m"]
     """Index of each group's material."""
     probability: Float[np.ndarray, "S"]
-    """Probability of each, given that one of all is true, with equal priors."""
+    """Probability of each, given that one of all assignments is true, with equal priors."""
     misfit: float
     """Squared residual of the best, in units of the measurements' errors."""
     fits: float
     """p-value of that misfit: small where no assignment explains the measurements."""
 
     def holding(self, share: float) -> int | None:
-        """Number of the best that hold that share of the probability; None where more than are listed."""
+        """Number of best assignments that hold a share of the probability; None if it exceeds those listed."""
         within = np.cumsum(self.probability)
         return int(np.searchsorted(within, share) + 1) if within[-1] >= share else None
 
@@ -60,7 +60,7 @@ def rank_assignments(
     """Rank all k^n_m assignments by how well they agree with measurements.
 
     Args:
-        rows: measurements of the groups' masses, independent and of unit error, the surest first.
+        rows: measurements of the groups' masses, independent and of unit error, the most precise first.
         values: measured value of each row.
         options: mass of each group in each material, kg.
 
@@ -74,8 +74,8 @@ def rank_assignments(
     half = n // 2
     first = _sums(rows[:, :half], options[:half]) - values
     second = _sums(rows[:, half:], options[half:])
-    # beyond this many standard errors of the surest row, all together weigh less than LEFT_OUT of the best
-    best = _quick(first, second)
+    # beyond this many standard errors of the first row, all together have less than LEFT_OUT of the best's probability
+    best = _upper_bound(first, second)
     reach = np.sqrt(best + 2 * np.log(float(k) ** n / LEFT_OUT))
     up = np.argsort(second[:, 0], kind="stable")
     second = second[up]
@@ -99,7 +99,7 @@ def rank_assignments(
         scores, which = np.append(scores, chi.ravel()[near]), np.vstack([which, pairs])
         kept = np.argsort(scores, kind="stable")[:KEPT]
         scores, which = scores[kept], which[kept]
-    # scores were differences of large squares: the listed ones again, exactly
+    # the scores are differences of large squares: compute the listed ones again, exactly
     digits = np.hstack([_digits(which[:, 0], k, half), _digits(which[:, 1], k, n - half)])
     masses = np.take_along_axis(options[None], digits[:, :, None], 2)[..., 0]
     exact = ((masses @ rows.T - values) ** 2).sum(axis=1)
@@ -110,19 +110,19 @@ def rank_assignments(
 
 
 def _sums(rows: np.ndarray, options: np.ndarray) -> np.ndarray:
-    """Part of every assignment of some groups in each row, (k^n, r); the last group's material changes fastest."""
+    """Value of each row for every assignment of some groups, (k^n, r); the last group's material varies fastest."""
     parts = [rows[:, g][None] * options[g][:, None] for g in range(len(options))]
     empty = np.zeros((1, len(rows)))
     return reduce(lambda sums, part: (sums[:, None] + part[None]).reshape(-1, len(rows)), parts, empty)
 
 
 def _digits(index: np.ndarray, base: int, count: int) -> np.ndarray:
-    """Materials of an assignment of some groups by its place in the list, (S, count)."""
+    """Materials of the assignments of some groups by index, (S, count)."""
     return index[:, None] // base ** np.arange(count - 1, -1, -1) % base
 
 
-def _quick(first: np.ndarray, second: np.ndarray) -> float:
-    """Squared residual of a good assignment, by descent over either half in turn: an upper bound of the least."""
+def _upper_bound(first: np.ndarray, second: np.ndarray) -> float:
+    """Upper bound of the least squared residual, by descent over the two halves in turn."""
     at = 0
     best = np.inf
     for _ in range(10):

@@ -1,7 +1,7 @@
-"""Masses that fit where only M, c and I_cm are known, none negative: their ranges, mean and covariance.
+"""Non-negative masses that agree with M, c and I_cm: their ranges, mean and covariance.
 
 Under one rigid body friction shows M and c, and acceleration I_cm: four numbers for n_m masses. The masses that agree
-with them are a polytope, blurred by the numbers' own errors.
+with them form a polytope, blurred by the errors of the numbers.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 CHAINS, STEPS, SETTLING = 256, 240, 60
-"""Chains of hit and run, steps of each, and steps before the first draw."""
+"""Number of hit-and-run chains, steps of each, and steps before the first draw."""
 SMALLEST, FAR = 1e-300, 1e300
+"""Smallest divisor and largest distance along a direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class MassPolytope:
-    """Masses m >= 0 with rows m = values, every row an independent measurement of unit error."""
+    """Masses m >= 0, kg, with rows m = values, every row an independent measurement of unit error."""
 
     rows: Float[np.ndarray, "r n_m"]
     values: Float[np.ndarray, "r"]
 
     @cached_property
     def inside(self) -> tuple[Float[np.ndarray, "n_m"], float]:
-        """A mass map well inside, as far from every bound as can be, and by how many standard errors its rows miss.
+        """Interior mass map, kg, as far from every bound as possible, and its largest residual, standard errors.
 
-        They miss by more than a few only where no mass map agrees with what was measured.
+        The residual exceeds a few standard errors only where no mass map agrees with the measurements.
         """
         count, n = self.rows.shape
         norms = np.linalg.norm(self.rows, axis=0)
@@ -49,8 +50,8 @@ class MassPolytope:
     def ranges(self, confidence: float) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m"]]:
         """Least and greatest mass of each group over all maps within the measurements' joint errors, kg.
 
-        Every row may miss by the same number of standard errors, such that all do with probability `confidence`; where
-        no map does, by as little more as is needed.
+        All rows are within the same number of standard errors, with the joint probability `confidence`; where no map
+        is, within the least number that any map needs.
         """
         count, n = self.rows.shape
         reach = float(norm.ppf((1 + confidence ** (1 / count)) / 2))
@@ -68,39 +69,39 @@ class MassPolytope:
     def posterior(self, seed: int) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
         """Mean and covariance of the masses given the measurements, with a flat prior over masses >= 0.
 
-        By hit and run, many chains side by side. The mean has the least expected squared error, and is itself a map
-        that fits: the set is convex.
+        By parallel hit-and-run chains. The mean has the least expected squared error, and agrees with the measurements,
+        since the set is convex.
         """
         rng = np.random.default_rng(seed)
         start, _ = self.inside
-        blind = null_space(self.rows, rcond=1e-9) * max(float(start.sum()), SMALLEST)
-        seen = np.linalg.pinv(self.rows)
+        unobserved = null_space(self.rows, rcond=1e-9) * max(float(start.sum()), SMALLEST)
+        observed = np.linalg.pinv(self.rows)
         masses = np.tile(start, (CHAINS, 1))
         total, square, taken = np.zeros(len(start)), np.zeros((len(start), len(start))), 0
         for step in range(STEPS):
-            ways = (blind, seen) if blind.shape[1] else (seen,)
-            basis = ways[step % len(ways)]
-            way = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
-            masses = np.maximum(masses + self._along(masses, way, rng)[:, None] * way, 0.0)
+            bases = (unobserved, observed) if unobserved.shape[1] else (observed,)
+            basis = bases[step % len(bases)]
+            direction = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
+            masses = np.maximum(masses + self._along(masses, direction, rng)[:, None] * direction, 0.0)
             if step >= SETTLING:
-                off = masses - start  # chains that cannot leave it have a variance of 0, not of rounding
+                off = masses - start  # so that chains without freedom have a variance of exactly 0
                 total += off.sum(axis=0)
                 square += off.T @ off
                 taken += CHAINS
         mean = total / taken
         return start + mean, square / taken - np.outer(mean, mean)
 
-    def _along(self, masses: np.ndarray, way: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Step of each chain along its way: a draw from the density on the line, within the bounds."""
+    def _along(self, masses: np.ndarray, direction: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Step of each chain along its direction: a draw from the density on the line, within the bounds."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            to_zero = -masses / way
-        low = np.where(way > 0, to_zero, -FAR).max(axis=1)
-        high = np.where(way < 0, to_zero, FAR).min(axis=1)
-        slope = way @ self.rows.T
+            to_zero = -masses / direction
+        low = np.where(direction > 0, to_zero, -FAR).max(axis=1)
+        high = np.where(direction < 0, to_zero, FAR).min(axis=1)
+        slope = direction @ self.rows.T
         precision = np.maximum((slope**2).sum(axis=1), SMALLEST)
         middle = (slope * (self.values - masses @ self.rows.T)).sum(axis=1) / precision
         error = 1 / np.sqrt(precision)
-        even = error > 1e3 * (high - low)  # nothing measured changes along the way
+        even = error > 1e3 * (high - low)  # no measurement changes along the direction
         a, b = (low - middle) / error, (high - middle) / error
         turned = a > 0  # in the upper tail the distribution function is 1 to rounding
         a, b = np.where(turned, -b, a), np.where(turned, -a, b)

@@ -1,4 +1,4 @@
-"""Choice of the support model, masses under one rigid body, and such a body on points of contact."""
+"""Choice of the support model, masses under one rigid body, and a rigid body on points of contact."""
 
 import os
 from dataclasses import replace
@@ -90,15 +90,15 @@ def test_the_support_is_found_with_and_without_acceleration(name, rigid):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rigid", [False, True])
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
-def test_it_is_found_for_other_objects_with_two_friction_groups(seed, rigid):
-    obj = drawn_object(seed, friction_groups=1 + seed % 2)
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_support_is_found_with_two_friction_groups(seed, rigid):
+    obj = drawn_object(seed, friction_groups=2)
     assert (decided(obj, data(obj, rigid=rigid)).kind in REFUTED) == rigid
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rigid", [False, True])
-def test_one_material_throughout_drags_alike_either_way_and_it_says_so(rigid):
+def test_the_support_of_one_material_throughout_is_undecided(rigid):
     obj = load_object("I1")
     test = decided(obj, data(obj, rigid=rigid))
     assert test.kind == "undecided"
@@ -158,7 +158,7 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_between_the_two_supports_it_says_so_and_its_errors_hold(share):
+def test_errors_between_the_two_supports_hold(share):
     obj = drawn_object(5)
     answer = ask(obj, joined(obj, share), SupportAware())
     assert answer.status in ("unexplained", "assumption_violated")
@@ -204,16 +204,11 @@ def test_two_materials_make_it_a_finite_search(name, rigid):
 
 
 @pytest.mark.slow
-def test_densities_are_masses_of_the_groups_volume():
+def test_densities_are_masses_of_the_groups_volume_and_wrong_materials_are_not_forced():
     obj = load_object("L2")
     volume = obj.shape.particles_per_group[0] * obj.shape.cell**2 * obj.shape.height
     dense = aware(obj, materials_kg_m3=tuple(m / volume for m in MATERIALS))
     assert_allclose(found(dense).mass, found(aware(obj, materials_kg=MATERIALS)).mass, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_the_wrong_materials_are_not_forced_on_it():
-    obj = load_object("L2")
     answer = aware(obj, materials_kg=(0.15, 0.25))
     assert "no assignment of the materials" in answer.message
     assert_allclose(found(answer).mass, found(aware(obj)).mass)
@@ -221,7 +216,7 @@ def test_the_wrong_materials_are_not_forced_on_it():
 
 @pytest.mark.slow
 def test_many_assignments_that_fit_are_counted():
-    """Sixteen blocks: four numbers cannot tell them."""
+    """Sixteen blocks: four numbers do not determine them."""
     rng = np.random.default_rng(3)
     obj = blocks(["10101010", "10101010", "11111111"], rng.choice(MATERIALS, 16).tolist())
     trajectories = data(obj, rigid=True, noise=1.0)
@@ -317,10 +312,6 @@ def tool(contacts: tuple[tuple[float, float], ...], masses: tuple[float, ...] = 
     return replace(made, solids=())
 
 
-def felt(obj: ObjectModel) -> list[Trajectory]:
-    return trials_of(obj, rigid=True)
-
-
 def test_one_group_has_the_whole_mass_under_either_support():
     one = drawn_object(0)
     one = replace(
@@ -334,8 +325,9 @@ def test_one_group_has_the_whole_mass_under_either_support():
 
 def test_three_points_show_all_that_can_be_known():
     obj = tool(THREE)
-    near = posterior_of(obj.shape, obj.total_mass, felt(obj), "rigid")
-    known = posterior_of(obj.shape, obj.total_mass, felt(obj), "rigid", errors=EXACT, near=near)
+    trials = trials_of(obj, rigid=True)
+    near = posterior_of(obj.shape, obj.total_mass, trials, "rigid")
+    known = posterior_of(obj.shape, obj.total_mass, trials, "rigid", errors=EXACT, near=near)
     assert known is not None
     rows, values = known.mass_equations()
     assert len(rows) == 4 < obj.shape.n_m  # M, c and I_cm
@@ -345,21 +337,21 @@ def test_three_points_show_all_that_can_be_known():
     assert_allclose(shown.mass, obj.total_mass, rtol=1e-6)
     assert_allclose(shown.com, obj.center_of_mass, atol=1e-6)
     assert_allclose(shown.about_com, obj.inertia_cm, rtol=1e-6)
-    answer = ask(obj, felt(obj), SupportAware())
+    answer = ask(obj, trials, SupportAware())
     assert answer.status == "underdetermined" and answer.distribution is not None
     assert answer.message.startswith("M, c and I_cm hold the masses to")
     assert holds(answer, MASSES)
 
 
 @pytest.mark.slow
-def test_a_center_of_mass_that_no_parts_can_have_is_told():
-    """Parts a third as long about the head have no masses with the center of mass that is felt."""
+def test_a_center_of_mass_that_no_parts_can_have_is_unexplained():
+    """Parts a third as long about the head have no masses with the measured center of mass."""
     obj = tool(THREE)
     shape = obj.shape
     left = shape.particles[:, 0].min()
     shrunk = shape.particles.copy()
     shrunk[~shape.is_contact, 0] = left + (shrunk[~shape.is_contact, 0] - left) / 3
-    answer = SupportAware().estimate(replace(shape, particles=shrunk), obj.total_mass, felt(obj), 0)
+    answer = SupportAware().estimate(replace(shape, particles=shrunk), obj.total_mass, trials_of(obj, rigid=True), 0)
     assert answer.status == "unexplained" and answer.message.startswith("no masses of the parts have the M, c and I_cm")
     assert answer.diagnostics["polytope_miss"] > 3
 
@@ -367,16 +359,16 @@ def test_a_center_of_mass_that_no_parts_can_have_is_told():
 @pytest.mark.slow
 def test_parts_in_the_air_have_no_pattern_of_contact():
     obj = tool(())
-    stated = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in felt(obj)]
+    stated = [replace(trial, setup=SetupErrors(contact_points=4)) for trial in trials_of(obj, rigid=True)]
     assert np.isfinite(found(ask(obj, stated, SupportAware())).mass).all()
 
 
-def test_algorithm_1_stands_back_from_one_body():
+def test_algorithm_1_refuses_one_body():
     obj = tool(THREE)
     assert not ParticleModel.of(obj.shape).stands_in_groups and not obj.shape.stands_in_groups
     assert support_of(obj.shape) == RIGID and support_of(obj.shape, "own_weight") == OWN_WEIGHT
     assert support_of(load_object("L2").shape) == OWN_WEIGHT
-    answer = ask(obj, felt(obj))
+    answer = ask(obj, trials_of(obj, rigid=True))
     assert answer.status == "assumption_violated" and "support_aware" in answer.message
     assert ask(obj, [], SupportAware()).status == "no_data"
 
@@ -396,12 +388,12 @@ def test_loads_of_three_points_are_in_balance_and_those_of_four_lie_about_the_ev
 
 
 @pytest.mark.slow
-def test_a_body_said_to_rest_on_four_points_may_rest_on_three_of_them():
-    rests, said = tool(FOUR[:3]), tool(FOUR)
-    trials = felt(rests)
-    answer = ask(said, trials, SupportAware())
+def test_a_body_stated_to_rest_on_four_points_may_rest_on_three_of_them():
+    true, stated = tool(FOUR[:3]), tool(FOUR)
+    trials = trials_of(true, rigid=True)
+    answer = ask(stated, trials, SupportAware())
     assert answer.status == "underdetermined" and holds(answer, MASSES)
-    known = posterior_of(said.shape, said.total_mass, trials, "rigid")
+    known = posterior_of(stated.shape, stated.total_mass, trials, "rigid")
     assert known is not None and known.explained.explains
 
 

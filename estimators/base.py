@@ -36,9 +36,9 @@ EstimateStatus = Literal[
 MOST_MASS = 1e3
 """Largest mass of a particle in an answer, kg: no object has it."""
 ROUNDING = 1e-15
-"""Negative variance that rounding leaves of none, kg^2."""
+"""Largest negative variance that counts as rounding [kg^2]."""
 NO_MASSES = ("underdetermined", "contradictory")
-"""Statuses with which an answer may have no masses: that the trials show none is what it says of them."""
+"""Statuses of an answer that may have no masses, since the trials do not determine them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def check_estimate(called: str, answer: Any, shape: ObjectShape) -> Estimate:
 
 
 def _check_diagnostics(values: dict[str, float]) -> None:
-    """Check that numbers by name are that."""
+    """Check that diagnostics are numbers by name."""
     if not isinstance(values, dict):
         raise InvalidValueError("Estimate.diagnostics", values, "a dict of numbers by name")
     for name, value in values.items():
@@ -242,7 +242,7 @@ def weighed(shape: ObjectShape, weight: float | None) -> float:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Turns trajectories into a mass distribution. Frozen configuration; keeps no state between calls."""
+    """Method that estimates a mass distribution from trajectories. Frozen configuration; no state between calls."""
 
     def estimate(
         self, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory], seed: int
@@ -271,7 +271,7 @@ class BatchEstimator(Estimator, Protocol):
     ) -> list[Estimate]:
         """Estimates of D draws, each as `estimate` gives it; its `seconds` are its share of the batch.
 
-        A draw that cannot be used has a status. What raises is asked again, one draw at a time.
+        A draw that cannot be used has a status. If the call raises, `estimate` is called for each draw.
 
         Args:
             shape: geometry and groups; never the truth.
@@ -284,7 +284,7 @@ class BatchEstimator(Estimator, Protocol):
 
 @runtime_checkable
 class ActionPolicy(Protocol):
-    """Chooses what to do next. Frozen configuration."""
+    """Choice of the next action. Frozen configuration."""
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action, or None when no further one is worth its time."""

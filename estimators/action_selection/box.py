@@ -26,9 +26,9 @@ from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 
 SIZE = 6
-"""Parameters of an action: kind, grasp, x and y of a turn's center, motion, time."""
+"""Number of parameters of an action: kind, grasp, x and y of a turn's center, motion, time."""
 ROUNDING = 1e-4
-"""Greatest distance beyond the arm of a center that stays there, so that a rounded one at the limit does [m]."""
+"""Tolerance of the distance from the grasp to a center [m], so that a rounded center at the limit is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,10 @@ class ActionBox:
     """Turns, accelerated turns and slides of a family as points of [-1, 1]^6; every point is an action.
 
     Kind and grasp divide their interval into equal parts. The center of a turn is in units of `reach`, object frame;
-    one farther from the grasp than the family's arm moves to that distance. Motion is the signed speed of a turn, the
-    direction of a slide over pi, or the sign of an accelerated turn; time is the duration, logarithmic, or whole and
-    half of an accelerated turn. Values are rounded, so that an action of 32-bit numbers is again the same.
+    a center farther from the grasp than the family's arm is moved to that distance. Motion is the signed speed of a
+    turn, the direction of a slide over pi, or the sign of an accelerated turn; time is the duration on a logarithmic
+    scale, or whole and half of an accelerated turn. Values are rounded, so that a point in 32-bit numbers gives the
+    same action again.
     """
 
     shape: ObjectShape
@@ -76,13 +77,13 @@ class ActionBox:
         if values.shape != (SIZE,) or not np.isfinite(values).all():
             raise InvalidValueError("action", values.tolist(), f"{SIZE} finite numbers from -1 to 1")
         kind, grasp, x, y, motion, time = np.clip(values, -1.0, 1.0).tolist()
-        made, index = self.kinds[_part(kind, len(self.kinds))], self.grasps[_part(grasp, len(self.grasps))]
+        action_type, index = self.kinds[_part(kind, len(self.kinds))], self.grasps[_part(grasp, len(self.grasps))]
         sign = -1.0 if motion < 0 else 1.0
-        if made is Accelerate:
+        if action_type is Accelerate:
             steps = Accelerate(index).accelerations[: None if time >= 0 else HALF]
             whole = Accelerate(index, steps)
             return whole if sign > 0 else whole.reversed()
-        if made is Slide:
+        if action_type is Slide:
             return Slide(index, round(math.pi * motion, 4), duration=round(_between(time, SLIDE_DURATION), 1))
         position = self.shape.grasps[index].position
         center = self.reach * np.array([x, y])
@@ -95,7 +96,7 @@ class ActionBox:
         return Rotate(index, speed, duration, (float(pivot[0]), float(pivot[1])), not self.family.one_way)
 
     def point(self, action: Action) -> Float[np.ndarray, "6"]:
-        """Point at which an action lies: that of the nearest action, where it lies between rounded values.
+        """Point of an action, or of the nearest action with rounded values.
 
         Raises:
             InvalidValueError: not a kind or a grasp of the box.
@@ -120,7 +121,7 @@ class ActionBox:
         return np.clip(found, -1.0, 1.0)
 
     def refusal(self, action: Action) -> str:
-        """Reason why an action is outside the limits by which the family draws its candidates; else empty."""
+        """Reason why an action is outside the limits of the family's candidates; empty if it is inside."""
         shape, place = self.shape, self.shape.grasps[action.grasp or 0]
         at, angle = place.position[None], np.array([place.angle])
         if isinstance(action, Accelerate):
@@ -150,11 +151,11 @@ def _middle(index: int, count: int) -> float:
 
 
 def _between(value: float, ends: tuple[float, float]) -> float:
-    """Value of a range, logarithmic, at a number from -1 to 1."""
+    """Value in a range at a number from -1 to 1, on a logarithmic scale."""
     return ends[0] * (ends[1] / ends[0]) ** ((value + 1) / 2)
 
 
 def _inverse(value: float, ends: tuple[float, float]) -> float:
-    """Number from -1 to 1 of a value of a range, logarithmic; 1 of a range of one value."""
+    """Inverse of `_between`; 1 for a range of one value."""
     whole = math.log(ends[1] / ends[0])
     return 2 * math.log(value / ends[0]) / whole - 1 if whole else 1.0

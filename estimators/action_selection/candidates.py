@@ -70,7 +70,7 @@ class ActionFamily:
         """Draw actions that the arm can reach and that keep the object on the table, and pushes anywhere.
 
         Pivots are uniform in direction and distance from the grasp, durations in their logarithm; pushes are as
-        published. Of an object in links all are slides and turns one way at constant speed.
+        published. For an object in links, all actions are slides and turns one way at constant speed.
 
         Args:
             shape: geometry and grasps.
@@ -79,13 +79,13 @@ class ActionFamily:
             seed: seed of the draw.
 
         Raises:
-            InvalidValueError: no number to draw, or pushes of an object with hinges.
+            InvalidValueError: `count` is no integer >= 1, or pushes of an object with hinges.
         """
         check_integer("count", count)
         family, linked = self, shape.chain is not None
         if linked and self.pushes:
             raise InvalidValueError("pushes", self.pushes, "none: an object with hinges is not pushed")
-        if linked:  # links can be slid and turned, and trail behind one way at constant speed
+        if linked:  # links trail behind the hand only one way at constant speed
             count = min(count, MOST_DRAGS)
             family = replace(self, one_way=True, accelerated=False, lifts=False)
         pushed = not linked and (self.pushes or not shape.grasps) and bool(faces(shape))
@@ -111,7 +111,7 @@ class ActionFamily:
         found: list[Rotate] = []
         positions, angles = _places(shape)
         corners = outline(shape)
-        for _ in range(20):  # a few rounds fill it, unless next to nothing is in reach
+        for _ in range(20):  # a few rounds suffice, unless hardly any pivot is in reach
             grasp = rng.choice(allowed, 2 * count)
             radius, way = self.arm * rng.random(2 * count), rng.uniform(0, 2 * math.pi, 2 * count)
             pivot = (positions[grasp] + radius[:, None] * np.column_stack([np.cos(way), np.sin(way)])).round(4)
@@ -134,7 +134,7 @@ class ActionFamily:
     def _slides(
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Slide]:
-        """Straight lines of 5 cm/s; centered in the workspace, so all within reach."""
+        """Straight lines at 5 cm/s, centered in the workspace: all within reach."""
         positions, angles = _places(shape)
         grasps, ways = rng.choice(allowed, count), rng.uniform(-math.pi, math.pi, count)
         durations = np.exp(rng.uniform(np.log(SLIDE_DURATION[0]), np.log(SLIDE_DURATION[1]), count)).round(1)
@@ -164,7 +164,7 @@ class ActionFamily:
     def _lifts(
         self, shape: ObjectShape, allowed: Int[np.ndarray, "G"], count: int, rng: np.random.Generator
     ) -> list[Lift]:
-        """Default lift of each grasp first and one that stops and goes, then lifts of other holds, swings and tilts.
+        """Default lift and stop-and-go lift of each grasp, then lifts with other holds, swings and tilts.
 
         Tilts and accelerations are those at which the errors of a lift were measured.
         """
@@ -183,7 +183,7 @@ class ActionFamily:
 
 
 def clear_of_particles(shape: ObjectShape, points: Float[np.ndarray, "N 2"]) -> np.ndarray:
-    """True for points well between particles, (N,): a particle at the center of a turn has no direction of motion."""
+    """Mask of the points well between particles, (N,): a particle at a turn's center has no direction of motion."""
     distance = np.linalg.norm(shape.particles[None] - points[:, None], axis=-1).min(axis=1)
     return distance > shape.cell / 4
 
@@ -225,7 +225,7 @@ def sweep_in_reach(
 ) -> np.ndarray:
     """True for turns that keep the TCP within the arm's reach, their path centered in the workspace, (N,).
 
-    A quick check of many; inverse kinematics decide.
+    A quick check before inverse kinematics.
 
     Args:
         grasp: grasp point [m], object frame.

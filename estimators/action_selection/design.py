@@ -39,9 +39,9 @@ ASSUMED_SUPPORTS: dict[str, tuple[str, ...]] = {**{support: (support,) for suppo
 NORMAL_MEAN = math.sqrt(2 / math.pi)
 """Mean absolute value of a standard normal number."""
 LEAST_GAIN = 0.01
-"""Least part that a trial must take off the criterion to be worth its time."""
+"""Least fall of the criterion's logarithm by a trial that is worth its time."""
 FRICTION_PRIOR = 1.0
-"""Prior standard deviation of every friction coefficient; so wide that it decides nothing."""
+"""Prior standard deviation of every friction coefficient: large against any measured error."""
 APART = 0.01
 """Least distance between centers of turns in one grasp, and between points of pushes [m]: nearer ones repeat each
 other, model error included."""
@@ -165,7 +165,7 @@ class Design:
             candidates: actions to choose from.
             guess: sensor and support models.
             criterion: quantity to minimize.
-            at: masses and frictions at which it is taken; uniform masses if left out.
+            at: masses and frictions at which information is taken; uniform masses if left out.
         """
         where = guess.uniform(shape) if at is None else at
         each = [predicted_information(shape, where, candidates, guess.sensing, a) for a in guess.assumptions()]
@@ -181,7 +181,7 @@ class Design:
         return float(CRITERIA[self.criterion](belief.covariance(), belief.weight).mean())
 
     def values_after(self, belief: Belief) -> Float[np.ndarray, "C"]:
-        """Criterion after each candidate: the covariance before, less what its few rows take away."""
+        """Criterion after each candidate, by a low-rank update of the covariance."""
         n_m, found = len(belief.count), np.zeros(len(self.candidates))
         scale = np.outer(belief.count, belief.count)
         for information, trials in zip(belief.information, self.information, strict=True):
@@ -201,7 +201,7 @@ class Design:
         return np.stack([trials.information(chosen) for trials in self.information])
 
     def seconds(self, last: Action | None) -> Float[np.ndarray, "C"]:
-        """Robot time of every candidate [s], with the way there from the last action."""
+        """Robot time of every candidate [s], travel from the last action included."""
         way: dict[int | Action, float] = {}
         places = [action if action.grasp is None else action.grasp for action in self.candidates]
         for place, action in zip(places, self.candidates, strict=True):
@@ -211,19 +211,19 @@ class Design:
 
     @cached_property
     def _own_seconds(self) -> Float[np.ndarray, "C"]:
-        """Robot time of every candidate by itself [s]."""
+        """Robot time of every candidate without travel [s]."""
         return np.array([self.time.of(action) for action in self.candidates])
 
     def novel(self, done: Sequence[Action]) -> np.ndarray:
-        """True for each candidate that no action done is the same as, or nearly, (C,).
+        """Mask of the candidates that neither repeat a completed action nor come too early, shape (C,).
 
-        Accelerated turns and lifts are ruled out before a trial at constant speed: alone they give no answer.
+        Accelerated turns and lifts come after a trial at constant speed: alone they give no answer.
         """
         begun = any(steady(action) for action in done)
         return self.unlike(done) & np.array([begun or steady(a) for a in self.candidates], dtype=bool)
 
     def unlike(self, done: Sequence[Action]) -> np.ndarray:
-        """True for each candidate that no action done is the same as, or nearly, (C,)."""
+        """Mask of the candidates that repeat no completed action exactly or nearly, shape (C,)."""
         # turns at constant speed are compared by grasp and center, pushes by point, other actions as a whole
         taken = {action for action in done if not _placed(action)}
         keep = np.array([a not in taken for a in self.candidates], dtype=bool)
@@ -237,12 +237,12 @@ class Design:
 
 
 def steady(action: Action) -> bool:
-    """True if it moves the object at constant speed: without any such trial no method has an answer."""
+    """True if the action moves the object at constant speed: without such a trial no method has an answer."""
     return action.on_table and not action.accelerated
 
 
 def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
-    """Belief after the weighing, with all ways to share M as likely."""
+    """Belief after the weighing, with all splits of M among the groups equally likely."""
     n_m, n_mu, count = shape.n_m, shape.n_mu, shape.particles_per_group
     covariance = prior_masses(shape, guess.weight)
     each = []
@@ -256,7 +256,7 @@ def prior_belief(shape: ObjectShape, guess: Guess) -> Belief:
 
 
 def _place(shape: ObjectShape, action: Action) -> tuple[int, np.ndarray]:
-    """Grasp and pivot of a turn, point of a push; of another action, a place that is near none."""
+    """Grasp and pivot of a turn, or -2 and the point of a push; -1 and infinity for other actions."""
     if not _placed(action):
         return -1, np.full(2, np.inf)
     return (-2, action.hand(shape)[0]) if action.grasp is None else (action.grasp, action.center(shape))

@@ -26,13 +26,13 @@ Index = Callable[[Design, Belief, np.ndarray, np.ndarray, float], np.ndarray]
 """Index of each candidate, the largest first, from design, belief, the fall of the criterion's logarithm, the robot
 time of each [s], and the robot time that is left [s]."""
 MOST_CHECKS = 60
-"""Candidates whose feasibility is checked for one choice, before it is given up."""
+"""Greatest number of candidates whose feasibility is checked for one choice."""
 PASSES = 4
 """Passes of exchange over a whole plan."""
 STARTS = 2
-"""Plans that exchange begins with."""
+"""Number of plans from which exchange starts."""
 NOTHING = "there is nothing to grip or to push, or nothing within reach"
-"""Why there is no action."""
+"""Reason for an empty plan."""
 DRAWN_PER_TRIAL = 20
 """Actions that a random plan may draw for each trial."""
 
@@ -46,12 +46,12 @@ def gain_rate(
 
 @dataclass(frozen=True)
 class PlannedPolicy:
-    """Actions planned before the first trial, from uniform masses. It plans around trials that go wrong."""
+    """Actions planned before the first trial, from uniform masses; failed actions are replaced by a new plan."""
 
     guess: Guess
     """Weight, sensor and assumed support models."""
     kind: Kind = "greedy"
-    """greedy: each action the best at its step; batch: exchanged until nothing improves; random: any."""
+    """greedy: the best action at each step; batch: greedy, improved by exchange; random: candidates at random."""
     criterion: Criterion = "I"
     """Quantity to minimize."""
     goal: Goal = field(default_factory=Goal)
@@ -82,10 +82,10 @@ class PlannedPolicy:
             raise InvalidValueError("PlannedPolicy.feasible", self.feasible, allowed)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
-        """First action of the plan that was not tried; where trials failed, of a plan without them.
+        """First action of the plan that was not tried; None when done.
 
-        The same holds where the robot or simulator has come to refuse an action that it passed before. The goal's
-        trials and time are for all that is done.
+        Failed actions, and actions that the robot or simulator now refuses, are excluded from a new plan. The goal's
+        number of trials and robot time include failed trials.
         """
         failed = tuple(t.action for t in trajectories if not t.ok)
         tried = [t.action for t in trajectories]
@@ -119,14 +119,14 @@ def _planned(policy: PlannedPolicy, shape: ObjectShape, failed: tuple[Action, ..
 
 @lru_cache(maxsize=2)
 def _prepared(policy: PlannedPolicy, shape: ObjectShape) -> tuple[Design, FeasibilityLog]:
-    """All candidates, and checks of them: where actions fail, none is predicted or checked again."""
+    """All candidates and their feasibility checks, shared by the plans after failures."""
     alike = replace(policy, kind="greedy", index=gain_rate, goal=Goal(), feasible=always_feasible)
     return _predicted(alike, shape), FeasibilityLog(policy.feasible)
 
 
 @lru_cache(maxsize=2)
 def _predicted(policy: PlannedPolicy, shape: ObjectShape) -> Design:
-    """All candidates, the same for every way to choose among them."""
+    """All candidates, shared by the kinds of search."""
     candidates = policy.family.sample(shape, allowed_grasps(shape, policy.grasps), policy.candidates, policy.seed)
     return Design.of(shape, candidates, policy.guess, policy.criterion)
 
@@ -140,9 +140,9 @@ def greedy_choice(
     log: FeasibilityLog,
     index: Index = gain_rate,
 ) -> tuple[int | None, str]:
-    """Candidate of the largest index, by default the gain per second; or None, and why there is none.
+    """Candidate of the largest index, by default the gain per second; or None and the reason.
 
-    Where a candidate meets the goal by itself, it is the shortest that does.
+    If candidates meet the target by themselves, the shortest of them is chosen.
     """
     if not design.candidates:
         return None, NOTHING
@@ -169,7 +169,7 @@ def greedy_choice(
 
 
 def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog, index: Index = gain_rate) -> Plan:
-    """Plan of one action after another, each the best at its step."""
+    """Plan of the best action at each step."""
     steps: list[PlanStep] = []
     belief, spent = before, 0.0
     while not (why := goal.ended(belief, len(steps))):
@@ -183,7 +183,7 @@ def greedy_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog,
 
 
 def random_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) -> Plan:
-    """Plan of candidates as they come, where they are feasible and there is time for them."""
+    """Plan of the candidates in their order, without those that are infeasible or too long."""
     steps: list[PlanStep] = []
     belief, spent, why = before, 0.0, NOTHING
     for index, action in enumerate(design.candidates):
@@ -200,7 +200,7 @@ def random_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog)
 def rank_driven_plan(
     shape: ObjectShape, guess: Guess, goal: Goal, kind: str, grasps: tuple[int, ...], seed: int
 ) -> Plan:
-    """Plan of a rank-driven policy's actions, as far as the goal goes."""
+    """Plan of a rank-driven policy's actions, up to the limits of the goal."""
     actions = replace(RANK_DRIVEN[kind], grasps=grasps, seed=seed).predicted_actions(shape)
     before = prior_belief(shape, guess)
     if not actions:
@@ -217,9 +217,9 @@ def rank_driven_plan(
 def batch_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) -> Plan:
     """Greedy plan improved by exchange of each trial for every candidate, the others fixed.
 
-    Where a target is met, exchange makes the plan shorter; else it lowers the criterion within the plan's time. It ends
-    where no single exchange is better, so it begins anew with a greedy plan of the candidates that no plan before began
-    with, and the best of all ends is taken.
+    Where a target is met, exchange shortens the plan; else it lowers the criterion within the plan's time. Exchange
+    ends at a local optimum, so it starts again from a greedy plan of the candidates that no earlier start has; the best
+    result is returned.
     """
     index_of = {action: i for i, action in enumerate(design.candidates)}
     first = greedy_plan(design, before, goal, log)
@@ -228,8 +228,8 @@ def batch_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) 
     left = goal.budget_s if goal.budget_s is not None else first.seconds
     starts = [[index_of[action] for action in first.actions]]
     while len(starts) < STARTS:
-        begun = {index for chosen in starts for index in chosen}
-        rest = [i for i in range(len(design.candidates)) if i not in begun]
+        in_starts = {index for chosen in starts for index in chosen}
+        rest = [i for i in range(len(design.candidates)) if i not in in_starts]
         start = greedy_plan(design.of_some(rest), before, replace(goal, budget_s=left), log)
         starts.append([index_of[action] for action in start.actions])
     exchange = _Exchange(design, before, goal, left, log)
@@ -239,7 +239,7 @@ def batch_plan(design: Design, before: Belief, goal: Goal, log: FeasibilityLog) 
 
 @dataclass(frozen=True, eq=False)
 class _Exchange:
-    """Exchange of single trials of a plan; a plan is a list of candidates."""
+    """Exchange of single trials of a plan, which is a list of candidate indices."""
 
     design: Design
     before: Belief
@@ -249,7 +249,7 @@ class _Exchange:
     log: FeasibilityLog
 
     def settled(self, chosen: list[int]) -> list[int]:
-        """Plan that no exchange improves."""
+        """Plan after exchanges until none improves it, at most `PASSES` passes."""
         for _ in range(PASSES):
             settled, place = True, 0
             while place < len(chosen):

@@ -1,4 +1,4 @@
-"""Online choice of actions: the next one from the answer to all trials so far, and its errors."""
+"""Online choice of actions, each from the estimate of all trials so far and its errors."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ class Decision:
     estimate: Estimate | None
     """Answer to the trials so far; None before the first."""
     nad: float
-    """Expected NAD of the answer, or of one that used all trials where there is none, as a ratio."""
+    """Expected NAD of the answer, or of the planner's belief where there is no answer, as a ratio."""
     even_nad: float
     """Expected NAD of even masses, known from the weight alone, as a ratio."""
     standard_error: Float[np.ndarray, "n_m"]
-    """Standard error of each group's mass [kg]: the answer's own, or the planner's where that is wider."""
+    """Standard error of each group's mass [kg]: the answer's own, or the planner's where that is larger."""
     supports: tuple[str, ...]
     """Support models that are still assumed."""
     rejected: tuple[tuple[Action, str], ...] = ()
-    """More informative actions, and why they cannot be done."""
+    """More informative actions that were refused, with the reason."""
 
     @property
     def answered(self) -> bool:
@@ -104,7 +104,7 @@ class OnlinePolicy:
         disagree = guess.supports == ("own_weight",) and misfit > UNEXPLAINED
         contradictory = estimate is not None and estimate.status == "contradictory"
         belief = prior = prior_belief(shape, guess)
-        if not contradictory:  # else no trial can be believed
+        if not contradictory:  # else the trials carry no information
             trials = [shown_information(shape, at, trajectories, each) for each in guess.assumptions()]
             information = np.stack([each.information() for each in trials])
             belief = belief.after(information / (misfit if disagree else 1.0))
@@ -130,17 +130,18 @@ class OnlinePolicy:
         candidates = [a for a in self.family.sample(shape, grasps, self.candidates, self.seed) if a not in failed]
         design = Design.of(shape, candidates, guess, self.criterion, at)
         if self.goal.met(nad) or contradictory:
-            index, why = _for_an_answer(design, done, left, log), "there is no answer, and nothing feasible gives one"
+            index = _needed_for_estimate(design, done, left, log)
+            why = "there is no answer, and nothing feasible gives one"
         else:
             index, why = greedy_choice(design, belief, done, self.goal, left, log)
         return decision(None, why) if index is None else decision(design.candidates[index], "")
 
 
-def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: FeasibilityLog) -> int | None:
-    """Shortest action of the kind that a method still needs for an answer, where the belief is narrow enough.
+def _needed_for_estimate(design: Design, done: Sequence[Action], left: float, log: FeasibilityLog) -> int | None:
+    """Index of the shortest action of the kind that an estimate still needs, where the belief meets the target.
 
-    First a turn or a slide, then an accelerated turn, which separates masses from frictions, then other turns, as long
-    as there are fewer of them than could be needed; of an object without a grasp, pushes.
+    First a turn, then an accelerated turn, which separates masses from frictions, then other turns, up to the number of
+    masses and frictions. For an object without a grasp, pushes.
     """
     turned = sum(steady(action) for action in done)
     allowed = bool(design.shape.grasps) and design.shape.chain is None
@@ -159,7 +160,7 @@ def _for_an_answer(design: Design, done: Sequence[Action], left: float, log: Fea
 
 
 def _supports(guess: Guess, estimate: Estimate | None) -> tuple[str, ...]:
-    """Assumed support models, by the test where it is decisive."""
+    """Assumed support models; the one that the test selects, if it is decisive."""
     factor = 0.0 if estimate is None else estimate.diagnostics.get("log10_bayes_factor", 0.0)
     if len(guess.supports) == 1 or abs(factor) < DECISIVE:
         return guess.supports
@@ -179,7 +180,8 @@ def expansion_point(
 ) -> MassDistribution:
     """Point at which information is taken: the answer, or uniform masses with the friction of the measured drag.
 
-    An answer that is one of many may have a mass at zero, where nothing depends on its friction: it would seem known.
+    An underdetermined answer may have a mass of zero. Nothing depends on the friction of that mass, so it would count
+    as known.
     """
     if estimate is not None and estimate.distribution is not None and estimate.status != "underdetermined":
         found = estimate.distribution
@@ -197,10 +199,10 @@ def _covariance(estimate: Estimate | None) -> Float[np.ndarray, "n_m n_m"] | Non
 
 
 def _uncertainty(belief: Belief, estimate: Estimate | None) -> tuple[float, Float[np.ndarray, "n_m"]]:
-    """Expected NAD, and the standard error of each group [kg]: the wider of the planner's and the answer's.
+    """Expected NAD, and the standard error of each group [kg]: the larger of the planner's and the answer's.
 
-    The answer's allows for support models that disagree and for masses that cannot be negative: under one rigid body it
-    alone counts.
+    The answer's errors include the choice of the support model and the bound of masses at zero. Under one rigid body
+    they alone count.
     """
     covariance = _covariance(estimate)
     if estimate is None or covariance is None:

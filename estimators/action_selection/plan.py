@@ -45,7 +45,7 @@ class Goal:
         return self.until is not None and nad <= self.until
 
     def left(self, spent: float) -> float:
-        """Robot time that is left [s]."""
+        """Remaining robot time [s]; infinite without a budget."""
         return np.inf if self.budget_s is None else self.budget_s - spent
 
     def ended(self, belief: Belief, trials: int) -> str:
@@ -99,7 +99,7 @@ class Plan:
     why: str
     """Reason why it ends."""
     rejected: tuple[tuple[Action, str], ...] = ()
-    """Actions that would have taught more, and why they cannot be done."""
+    """More informative actions that were refused, with the reason."""
 
     @staticmethod
     def of(design: Design, before: Belief, chosen: Sequence[int], why: str, log: FeasibilityLog | None = None) -> Plan:
@@ -127,7 +127,7 @@ class Plan:
 
 
 def plan_step(design: Design, belief: Belief, last: Action | None, index: int) -> PlanStep:
-    """Step with a candidate after the last action."""
+    """Step that adds a candidate to a plan whose last action is `last`."""
     action = design.candidates[index]
     after = belief.after(design.information_of([index]))
     seconds = design.time.of(action) + design.time.between(design.shape, last, action)

@@ -29,9 +29,9 @@ AIM = math.radians(30)
 CURVED = 3.0
 """Greatest curvature of a path, either way [rad/m]."""
 EDGE = 0.05
-"""Part of a face at either end that is left alone: the fingertip would soon slide off."""
+"""Part of a face at either end without pushes: the fingertip would soon slide off."""
 TRIES = 5
-"""Actions tried, refused ones and failures among them, for each that is asked for."""
+"""Actions tried for each one requested, refused and failed actions included."""
 BESIDE = 0.03
 """Greatest distance of the center of a turn from the grasp, along each axis [m]."""
 
@@ -56,7 +56,7 @@ class RandomPushes:
         """Next action; None when done."""
         made = [t for t in trajectories if t.action.pushes]
         if self.before is not None and not made:
-            with suppress(InfeasibleTrialError):  # refused about every grasp: what is left is to push
+            with suppress(InfeasibleTrialError):  # every grasp was refused: only pushes remain
                 if (action := self.before.next(shape, trajectories)) is not None:
                     return action
             turned = [t.action for t in trajectories if t.ok and t.action.dragged_steadily]
@@ -70,13 +70,13 @@ class RandomPushes:
 def untried(
     drawn: Sequence[Action], refused: Mapping[Action, str], trajectories: Sequence[Trajectory]
 ) -> Action | None:
-    """The first of some drawn actions that was neither refused nor made; None where all were."""
+    """First drawn action that was neither refused nor made; None if there is none."""
     tried = {*refused, *(t.action for t in trajectories)}
     return next((action for action in drawn if action not in tried), None)
 
 
 def random_pushes(shape: ObjectShape, count: int, seed: int) -> list[Push]:
-    """Random pushes of an object: the first ones of a longer list are the same."""
+    """Random pushes of an object; a longer list begins with the same pushes."""
     rng, every = np.random.default_rng(seed), faces(shape)
     share = np.array([face.length for face in every])
     found = []
@@ -109,7 +109,7 @@ class RandomDrags:
 
 
 def random_drags(shape: ObjectShape, grasps: Sequence[int], count: int, seed: int) -> list[Slide | Rotate]:
-    """Random slides and turns: the first ones of a longer list are the same."""
+    """Random slides and turns; a longer list begins with the same actions."""
     rng = np.random.default_rng(seed)
     found: list[Slide | Rotate] = []
     for index in range(count):

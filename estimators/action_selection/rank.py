@@ -61,7 +61,7 @@ class RankDriven:
         return self._after(shape, [t.action for t in trajectories], [t.action for t in trajectories if t.ok])
 
     def predicted_actions(self, shape: ObjectShape) -> list[Action]:
-        """Actions that it asks for where every trial ends well."""
+        """Actions of the policy if every trial ends well."""
         done: list[Action] = []
         while (action := self._after(shape, done, done)) is not None:
             done.append(action)
@@ -82,7 +82,7 @@ class RankDriven:
             if (accelerated + accelerated // len(allowed)) % 2:
                 return action.reversed()
             return action
-        moved = sum(action.dragged_steadily for action in tried)  # the policy's own, as is `done`
+        moved = sum(action.dragged_steadily for action in tried)
         grasp = _drawn(allowed, moved, [self.seed, 2])
         if moved >= self.pivots:
             done = [action for action in good if action.dragged_steadily]
@@ -113,7 +113,8 @@ lower priority there: they come where one-way turns about all grasps leave the r
 def between_particles(shape: ObjectShape, point: np.ndarray) -> tuple[float, float] | None:
     """Point half a cell beside `point` [m, object frame], or None where `point` is itself well between particles.
 
-    A particle at the very center of a turn has no direction of motion: its friction is anything up to mu m g, any way.
+    A particle at the center of a turn has no direction of motion: its friction has any size up to mu m g and any
+    direction.
     """
     nearest = np.linalg.norm(shape.particles - point, axis=1).min()
     if nearest > shape.cell / 4:
@@ -138,11 +139,11 @@ def allowed_grasps(shape: ObjectShape, grasps: Sequence[int] | None) -> tuple[in
 
 
 FEWEST_GRASPS = 3
-"""Grasps that are left for trials where one is held out: k >= 3 of Algorithm 1."""
+"""Least number of grasps for trials where one grasp is held out: k >= 3 of Algorithm 1."""
 
 
 def held_out_grasp(shape: ObjectShape, grasps: Sequence[int], seed: int) -> int | None:
-    """Grasp that trials can do without: turns about the others show as many friction loads. None where none is spared.
+    """Grasp that trials can omit: turns about the others show as many friction loads. None if there is no such grasp.
 
     Args:
         shape: the object.
@@ -180,7 +181,7 @@ def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, durati
 
 
 def _drawn(allowed: Sequence[int], index: int, stream: list[int]) -> int:
-    """Grasp at an index of an endless run of shuffles of the allowed ones."""
+    """Grasp at an index of an endless sequence of random permutations of the allowed ones."""
     rng = np.random.default_rng([*stream, index // len(allowed)])
     return int(rng.permutation(np.asarray(allowed))[index % len(allowed)])
 

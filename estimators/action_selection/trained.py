@@ -25,20 +25,20 @@ from testbed.validation import check_positive_fields
 SHIPPED = Path(__file__).with_name("trained.json")
 """Weights that heft ships; `python -m scenarios.environment.train` makes them."""
 SHAPE = (3, 3)
-"""Features of an action by features of the moment."""
+"""Number of features of an action, and of the plan's state."""
 TYPICAL_SECONDS = 15.0
 """Robot time at which the feature of time is zero [s]."""
 LEAST = 1e-6
-"""Least gain of which a logarithm is taken."""
+"""Lower bound of a gain before its logarithm is taken."""
 
 
 @dataclass(frozen=True)
 class TrainedIndex:
-    """Logarithm of the gain per second, plus weights times three features of an action and three of the moment.
+    """Logarithm of the gain per second, plus weights times three features of an action and three of the plan's state.
 
     Features of an action: log of the gain of the masses' volume (criterion D) and of their trace (A) over that of the
-    design's own criterion, and log of its robot time. Features of the moment: 1, the part of the robot time that is
-    left, and the decades by which the expected NAD has fallen below 100 %. All weights zero is greedy.
+    design's own criterion, and log of its robot time. Features of the state: 1, the remaining part of the robot
+    time, and the decades by which the expected NAD has fallen below 100 %. Weights of zero are the greedy policy.
     """
 
     weights: tuple[tuple[float, ...], ...] = ((0.0,) * SHAPE[1],) * SHAPE[0]
@@ -60,8 +60,8 @@ class TrainedIndex:
         others: list[Criterion] = ["D", "A"]
         features = [np.log(np.maximum(_gain(design, belief, each), LEAST)) - own for each in others]
         features.append(np.log(seconds / TYPICAL_SECONDS))
-        moment = np.array([1.0, min(left / self.budget_s, 1.0), -np.log10(belief.expected_nad)])
-        return own - np.log(seconds) + moment @ np.array(self.weights).T @ np.array(features)
+        of_state = np.array([1.0, min(left / self.budget_s, 1.0), -np.log10(belief.expected_nad)])
+        return own - np.log(seconds) + of_state @ np.array(self.weights).T @ np.array(features)
 
     @staticmethod
     def load(path: Path) -> TrainedIndex:
@@ -77,7 +77,7 @@ class TrainedIndex:
             raise InvalidValueError("file", str(path), f"a file of weights ({error})") from None
 
     def save(self, path: Path, **beside: object) -> None:
-        """Write the weights, and what else is to be kept with them."""
+        """Write the weights and further entries."""
         text = json.dumps({"weights": self.weights, "budget_s": self.budget_s, **beside}, indent=2) + "\n"
         write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 

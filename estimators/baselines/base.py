@@ -1,4 +1,4 @@
-"""The frame of every baseline: settings, candidates of mass and friction, and the result of a search.
+"""Base classes of the baselines: settings, candidates of mass and friction, and the result of a search.
 
 All minimise Eq. problem over masses and frictions on the trials that Algorithm 1 gets, with the same budget. A default
 is the paper's where the paper gives a value; the others are marked as ours.
@@ -66,7 +66,7 @@ def from_unit(problem: Problem, unit: Float[np.ndarray, "S n_mu+n_m"]) -> Candid
 
 
 def heaviest(problem: Problem) -> float:
-    """Largest particle mass that is drawn [kg]: one of steel; infinite where M is known and bounds it."""
+    """Largest particle mass that is drawn [kg]: that of steel; infinite where M is known."""
     return math.inf if problem.weight is not None else DENSEST * problem.shape.cell**2 * problem.shape.height
 
 
@@ -92,7 +92,7 @@ class LogCoordinates:
     per_group: Float[Tensor, "n_m"]
     """Number of particles in each mass group."""
     weight: float | Float[Tensor, "D 1 1"] | None
-    """M [kg], or None if the search does not get it."""
+    """M [kg], or None if the search is not given M."""
 
     @staticmethod
     def of(problem: Problem, seed: int) -> LogCoordinates:
@@ -130,7 +130,7 @@ class LogCoordinates:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The best candidate of a search, and the way to it."""
+    """Best candidate of a search, and its traces."""
 
     mass: Float[np.ndarray, "n_m"]
     """Particle mass of each group [kg]."""
@@ -142,7 +142,7 @@ class SearchResult:
     misfit: Misfit | None = None
     """Misfit by the search's own model of the trials, if that is not heft's."""
     rollouts: int | None = None
-    """Number of guesses compared with all data, if the traces do not have one entry each."""
+    """Number of guesses compared with all data; None if the traces have one entry for each."""
 
     @staticmethod
     def of_samples(method: str, batches: Sequence[tuple[Candidates, Tensor, float]]) -> SearchResult:
@@ -168,7 +168,7 @@ class Baseline(ABC):
     """Settings of every baseline. Assumes, as Algorithm 1 does, that every mass group rests on its own weight."""
 
     takes_links: ClassVar[bool] = True
-    """False of a method that moves the object in one piece."""
+    """False for a method whose object is a single rigid body."""
     iterations: int = ITERATIONS
     """Samples drawn, or gradient steps of each optimizer."""
     use_weight: bool = False

@@ -17,7 +17,7 @@ from testbed.objects.model import MassDistribution
 from testbed.validation import check_positive
 
 RESTART = 0.01
-"""Part of the loss that a new simplex must take away for another to follow. Ours."""
+"""Least relative fall of the loss by a simplex after which another one starts. Ours."""
 
 
 class Objective:
@@ -89,7 +89,7 @@ class CmaEs(Peer):
 
 @dataclass(frozen=True)
 class NelderMead(Peer):
-    """Downhill simplex in log mass and log friction, begun anew where it ended while that lowers the loss.
+    """Downhill simplex in log mass and log friction, restarted at its end point while that lowers the loss.
 
     A simplex may collapse off the minimum (Kelley 1999); a new one has the scipy default size.
     """

@@ -38,7 +38,7 @@ LIKELY_FRICTION = 0.5
 """Friction at which errors are counted where M, and so the friction's level, is not known."""
 FAR_OFF = 0.45
 """Part of the largest wrench, root mean square, from which on a candidate explains nothing: a trial with its sign
-turned leaves more. Ours. Eq. problem cannot say so, since it divides by mass: a heavy guess hides such trials."""
+turned leaves more. Ours. Eq. problem cannot show this, since it divides by mass: a heavy guess hides such trials."""
 Weighting = Literal["velocity", "covariance"]
 
 

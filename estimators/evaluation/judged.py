@@ -1,4 +1,4 @@
-"""Answer judged by its misfit: the one rule for the status of every method, heft's own and others'."""
+"""Status of an answer by its misfit: one rule for all methods, heft's own and others."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
 
 SAME_WEIGHT = 0.01
-"""Part of M within which masses count as weighed: then the search is no cause of another inertia."""
+"""Part of M within which masses add up to the weight: then a wrong inertia is no error of the search."""
 FAR, ABOUT = 1.1, 0.5
-"""Ratio of the masses to the weight from which a disagreement is said, and part of the weight within which masses that
-are taken for those of groups add up to it."""
+"""Ratio of the masses to the weight that is reported as a disagreement, and part of the weight within which the sum of
+masses of groups is recognized."""
 SURE = 3.0
-"""Standard errors by which the masses may miss the weight, and an answer is `ok`."""
+"""Largest distance of the masses from the weight of an answer with status `ok`, in standard errors."""
 DRY = 0.05, 2.0
-"""Frictions that dry surfaces have; beyond them a unit or the weight is likelier another. Ours."""
+"""Range of frictions of dry surfaces; outside it a unit or the weight is likely wrong. Ours."""
 MANY = 1_000_000
-"""Degrees of freedom of a misfit whose method does not state them: such a misfit is no chance."""
+"""Degrees of freedom of a misfit whose method states none, so that no misfit above the limit counts as chance."""
 
 
 def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajectories: Sequence[Trajectory]) -> Estimate:
-    """The answer with its misfit, and another status than `ok` where its masses are not known or explain no trials.
+    """The answer with its misfit, and a status other than `ok` if its masses are not known or do not fit the trials.
 
     `underdetermined` where its own covariance hardly tells a group from none (`hardly_known`), `unexplained` where the
     misfit is too large. A misfit that the method itself states counts: it may know of more than masses and friction.
@@ -52,7 +52,7 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
     if at is None:
         return answer
     for why in filter(None, [_not_the_weight(at.mass, shape, weight), _not_dry(at.friction)]):
-        answer = _said(answer, why)
+        answer = _with_sentence(answer, why)
     numbers, found = answer.diagnostics, None
     if math.isnan(stated := numbers.get("misfit", math.nan)):
         supports: list[JoinedSupport] = [support for support, words in ASSUMPTION.items() if words == answer.assumes]
@@ -70,31 +70,31 @@ def judged(answer: Estimate, shape: ObjectShape, weight: float | None, trajector
     if answer.status != "ok":
         return answer
     if found is not None and not found.explains:
-        return _said(replace(answer, status=found.status), found.reason)
-    if weight and (why := _beside_the_weight(answer, shape, weight, trajectories)):
-        return _said(replace(answer, status="unexplained"), why)
+        return _with_sentence(replace(answer, status=found.status), found.reason)
+    if weight and (why := _off_the_weight(answer, shape, weight, trajectories)):
+        return _with_sentence(replace(answer, status="unexplained"), why)
     loose = "" if answer.covariance is None else hardly_known(shape, at.mass, answer.covariance)
-    return _said(replace(answer, status="underdetermined"), loose) if loose else answer
+    return _with_sentence(replace(answer, status="underdetermined"), loose) if loose else answer
 
 
-def _said(answer: Estimate, why: str) -> Estimate:
-    """The answer with one more sentence."""
+def _with_sentence(answer: Estimate, why: str) -> Estimate:
+    """The answer with another sentence in its message."""
     return replace(answer, message="; ".join(filter(None, [answer.message, why])))
 
 
-def _beside_the_weight(answer: Estimate, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> str:
-    """Distance of the masses from the weight, in words, where an answer's own errors do not allow it; else empty."""
+def _off_the_weight(answer: Estimate, shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> str:
+    """Distance of the masses from the weight, in words, if it is beyond the answer's own errors; else empty."""
     if answer.covariance is None or answer.distribution is None or not np.isfinite(answer.covariance).all():
         return ""
     count, stated = shape.particles_per_group, SetupErrors.largest([trial.setup for trial in trajectories])
     off = float(count @ answer.distribution.mass) - weight
     own = float(np.sqrt(max(count @ answer.covariance @ count, 0.0)))
     sure = abs(off) > SURE * math.hypot(own, SAME_WEIGHT * weight, ModelErrors.weight_error, stated.scale)
-    return f"its masses are {off:+.3g} kg beside the weight, and claim {own:.2g} kg" if sure else ""
+    return f"its masses differ from the weight by {off:+.3g} kg, with a stated error of {own:.2g} kg" if sure else ""
 
 
 def _not_dry(friction: Float[np.ndarray, "n_mu"]) -> str:
-    """Frictions that dry surfaces hardly have, in words."""
+    """Frictions outside `DRY`, in words; empty without any."""
     few, many = DRY
     odd = [f"{mu:.2g}" for mu in friction if not few <= mu <= many]
     return f"friction {', '.join(odd)}: is the weight, or the unit of the force, another?" if odd else ""

@@ -26,13 +26,13 @@ CREEP = 1e-5
 """Speed over which friction changes sign [m/s]: a particle that sticks creeps by less."""
 NEWTON_STEPS, HALVINGS = 30, 30
 ROUNDING = 1e-13
-"""Part by which rounding may raise a dissipation."""
+"""Relative rise of the dissipation that counts as rounding."""
 CONVERGED = 1e-9
-"""Last step of a velocity [m/s, rad/s]: what it leaves is in proportion to its square over `CREEP`."""
+"""Last step of a velocity [m/s, rad/s]; the remaining error is proportional to its square over `CREEP`."""
 OPEN_LOOP = 1.0
-"""Time after which an open loop is looked at besides its end [s]."""
+"""Time at which the open loop is evaluated in addition to its end [s]."""
 FINE, COARSE = 2, 10
-"""Samples a step of the open loop, up to `OPEN_LOOP` and after it: its steps are implicit."""
+"""Samples per step of the open loop, up to `OPEN_LOOP` and after it; the steps are implicit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +131,9 @@ class _Feet:
     @staticmethod
     def of(model: ParticleModel, inertia: Inertia) -> _Feet:
         """Jacobian of all particles of an object."""
-        ahead, aside = perpendicular((model.particles - inertia.com).numpy()).T
+        ahead, sideways = perpendicular((model.particles - inertia.com).numpy()).T
         one, none = np.ones_like(ahead), np.zeros_like(ahead)
-        x, y = np.stack([one, none, ahead], 1), np.stack([none, one, aside], 1)
+        x, y = np.stack([one, none, ahead], 1), np.stack([none, one, sideways], 1)
         xx, yy, xy = (a[:, :, None] * b[:, None] for a, b in ((x, x), (y, y), (x, y)))
         return _Feet(np.concatenate([x, y]), np.concatenate([xx, yy, xy + xy.swapaxes(1, 2)]).reshape(-1, 9))
 

@@ -44,7 +44,7 @@ class Summary:
 
 
 def axis_columns(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of a row for the swept settings; a table of settings and a list become words, a list of one its item."""
+    """Columns of a row for the swept settings; tables and lists as text, a list of one as its item."""
     return {f"{AXIS}{name}": _in_words(value) for name, value in axes.items()}
 
 
@@ -111,7 +111,7 @@ def summarize(draws: Draws) -> Summary | None:
 
 @dataclass(frozen=True)
 class Claims:
-    """Errors of the masses against those that their answers claim."""
+    """Errors of the masses relative to the errors that their answers claim."""
 
     ratio: float
     """Root mean square of error over claimed error."""
@@ -122,14 +122,14 @@ class Claims:
 
     @staticmethod
     def of(rows: Iterable[Row]) -> Claims | None:
-        """Claims of some answers; None where none of them claims errors of masses that are known."""
+        """Claims of the answers in `rows`; None without an answer that claims errors of known masses."""
         needed = "mass_kg", "mass_error_kg", "true_mass_kg"
         claimed = [row for row in rows if all(row.get(name) is not None for name in needed)]
         if not claimed:
             return None
         each = []
         for row in claimed:
-            error = np.array(row["mass_error_kg"], dtype=float)  # of a mass that is not seen None, without bound
+            error = np.array(row["mass_error_kg"], dtype=float)  # None for a mass that is not observed
             error = np.where(np.isfinite(error), np.maximum(error, 1e-12), np.inf)
             each.append(np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) / error)
         off = np.concatenate(each)

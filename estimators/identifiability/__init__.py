@@ -1,1 +1,1 @@
-"""Identifiability: what trials show of masses and frictions, before or after they are made, and with which errors."""
+"""Identifiability of masses and frictions by trials, planned or made, with standard errors."""

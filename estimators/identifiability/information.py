@@ -45,9 +45,9 @@ SUPPORTS: tuple[str, ...] = get_args(SupportModel)
 FAINT = 1e-6
 """Information of a row, in units of the prior's, below which it is left out."""
 SURE = 1e-6
-"""Error of the angles by which a push is predicted [rad]."""
+"""Tolerance of the angles in a predicted push [rad]."""
 CHUNK = 256
-"""Trials that are worked on at once."""
+"""Number of trials in a batch."""
 LEAST_SCALE = 1e-6
 """Error of a perfect scale [kg]."""
 
@@ -59,9 +59,9 @@ class Assumptions:
     support: str = "own_weight"
     """own_weight or rigid."""
     errors: ModelErrors | None = None
-    """Errors of model and weighing beyond the sensor's own; None is what was measured under this support."""
+    """Errors of model and weighing beyond the sensor's own; None is the errors measured under this support."""
     setup: SetupErrors = EXACT_SETUP
-    """Errors of the setup as stated, of trials that are yet to be made; those made carry their own."""
+    """Errors of the setup as stated, for planned trials; trials that were made state their own."""
     hinge_friction: tuple[float, ...] | None = None
     """Torque of friction of each hinge of an object in links [N m]; None is a guess."""
 
@@ -124,12 +124,12 @@ def expected(
     sensing: Sensing,
     assumptions: Assumptions | None = None,
 ) -> Identifiability:
-    """Prediction of what actions show, before any trial: at the truth, its errors are the Cramer-Rao bound.
+    """Report of actions before any trial: at the truth, its errors are the Cramer-Rao bound.
 
     Args:
         shape: geometry and groups.
-        distribution: masses and frictions, true or guessed; what stays open hardly depends on them.
-        actions: actions in order; the object is weighed besides.
+        distribution: masses and frictions, true or guessed; the open directions hardly depend on them.
+        actions: actions in order; a weighing is always included.
         sensing: errors of the sensor.
         assumptions: support model and model errors.
 
@@ -151,7 +151,7 @@ def observed(
     trajectories: Sequence[Trajectory],
     assumptions: Assumptions | None = None,
 ) -> Identifiability:
-    """Report of what trials show of an object with such masses and frictions; arguments as `expected`."""
+    """Report of trials of an object with the given masses and frictions; arguments as `expected`."""
     assumptions = assumptions or Assumptions()
     setup = SetupErrors.largest([trajectory.setup for trajectory in trajectories])
     trials = shown_information(shape, distribution, trajectories, replace(assumptions, setup=setup))
@@ -161,7 +161,7 @@ def observed(
 def shown_information(
     shape: ObjectShape, distribution: MassDistribution, trajectories: Sequence[Trajectory], assumptions: Assumptions
 ) -> TrialInformation:
-    """Information of trials that were made, in their order; arguments as `predicted_information`.
+    """Information of each trial made, in their order; arguments as `predicted_information`.
 
     Trials that are not usable have rows of zeros.
     """
@@ -179,13 +179,13 @@ def predicted_information(
     sensing: Sensing,
     assumptions: Assumptions,
 ) -> TrialInformation:
-    """Information of actions before they are made, a trial each, in their order.
+    """Information of each planned action, in their order.
 
-    On own weight a lift shows nothing: only the gripped block would come along.
+    On own weight a lift shows nothing: only the gripped block would be lifted.
 
     Args:
         shape: geometry and grasps.
-        distribution: masses and frictions at which it is taken, true or guessed.
+        distribution: masses and frictions at which information is taken, true or guessed.
         actions: actions; a weighing has rows of zeros.
         sensing: errors of the sensor.
         assumptions: support model and model errors.
@@ -215,7 +215,7 @@ def prior_information(shape: ObjectShape, weighing: Weighing, assumptions: Assum
 
 
 class _Trials:
-    """Trials of an object of such masses and frictions, each counted by itself."""
+    """Rows of single trials of an object with the given masses and frictions."""
 
     def __init__(self, shape: ObjectShape, at: MassDistribution, assumptions: Assumptions):
         self.shape, self.at, self.assumptions = shape, at, assumptions
@@ -232,7 +232,7 @@ class _Trials:
 
     @property
     def friction(self) -> Float[np.ndarray, "P"]:
-        """Greatest friction of each particle, the gripper carrying nothing, N."""
+        """Greatest friction force of each particle under an unloaded gripper [N], shape (P,)."""
         load = LOADS[self.assumptions.support](self.model, self.mass, GripperLoad.none(self.model))[0]
         return (self.model.particle_friction(torch.tensor(self.at.friction)) * load).clamp(min=0.0).numpy()
 
@@ -250,7 +250,7 @@ class _Trials:
         *,
         planned: bool = False,
     ) -> TrialInformation:
-        """Information of so many trials from their windows on the table, in one batch or more, and in the air."""
+        """Information of `count` trials from batches of windows on the table and from windows in the air."""
         blocks = [block for batch in batches for block in self._on_table(batch, planned=planned)]
         for trial, windows in lifts.items():
             blocks += self._rows(InAir.of(self.shape, trial, windows, self.weight))
@@ -266,7 +266,7 @@ class _Trials:
     def _on_table(
         self, windows: Observations, *, planned: bool
     ) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:
-        """Rows of trials on the table, so many trials at once."""
+        """Rows of trials on the table, `CHUNK` trials at once."""
         assumptions, trials = self.assumptions, torch.unique(windows.trial)
         for some in trials.split(CHUNK):
             kept = windows.where((windows.trial >= some[0]) & (windows.trial <= some[-1]))
@@ -277,7 +277,7 @@ class _Trials:
             yield from self._rows(found)
 
     def _rows(self, measurement: Measurement) -> list[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:
-        """Trials of as many rows each, and their rows, whitened and as few as hold the same information."""
+        """Indices of trials with equal numbers of rows, and their whitened rows, reduced to the information's rank."""
         found, anew = measurement.linearized(self.unknowns, self.unknowns.start()), self.anew
         trial = np.concatenate([np.full(rows, trial) for _, rows, trial in measurement.parts])
         each = []

@@ -63,9 +63,9 @@ def predicted_windows(
     setup: SetupErrors = EXACT_SETUP,
     errors: ModelErrors | None = None,
 ) -> Observations | None:
-    """Windows of the slides and turns, wrenches left at zero, trials numbered by all actions; None without any.
+    """Windows of the slides and turns, with wrenches of zero and the indices of the actions; None without any.
 
-    The gripper carries what a nulled one does, of which `errors` has the size. All trials have one middle.
+    The load on the gripper is that after nulling, of the size in `errors`. The paths of all trials have one middle.
 
     Raises:
         InvalidValueError: a grasp that the shape does not have.
@@ -85,9 +85,9 @@ def predicted_windows(
 def predicted_pushes(
     shape: ObjectShape, drag: Drag, actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
 ) -> Observations | None:
-    """Windows of the pushes, as `predicted_windows`, of an object that moves as its drag lets it; None without any.
+    """Windows of quasi-static pushes, as `predicted_windows`; None without any.
 
-    A push that slips off before a window is over has none.
+    A push that slips off before the end of its first window has none.
 
     Args:
         shape: geometry.
@@ -103,7 +103,7 @@ def predicted_pushes(
     for (index, push), motion in zip(pushes.items(), drag.motion(shape, list(pushes.values()), STEP), strict=True):
         if len(motion.time_s) < 2:
             continue
-        kept = within_contact(motion.time_s, push.pace)[:-1]  # each stands for the step after it
+        kept = within_contact(motion.time_s, push.pace)[:-1]  # each sample represents the step after it
         camera = _stream(motion.time_s, motion.poses, sensing.camera)
         met = BEFORE_PUSH + RAMP_TIME / 2 + push.gap / push.speed
         within = (push.pace * BEGIN / 2, float(motion.time_s[-1]))
@@ -151,7 +151,7 @@ def predicted_drags(
 
 
 def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L 3"], camera: Camera) -> list[Planned]:
-    """Windows of a steady stretch whose links turn so, `STEP` apart."""
+    """Windows of a steady stretch from the yaw, rate and slope of its links, sampled every `STEP`."""
     windows, time = [], whole.since_tare[0] + STEP * np.arange(len(turned))
     middles = np.linspace(whole.since_tare[0], whole.since_tare[1], 2 * PARTS + 1)[1::2]
     path = np.polynomial.polynomial.polyfit(middles, whole.poses, PARTS - 1)
@@ -183,7 +183,7 @@ def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L
 
 
 def _stream(time: Float[np.ndarray, "N"], poses: Float[np.ndarray, "N 3"], camera: Camera) -> PoseStream:
-    """Frames that a camera would see of poses at some times, without its errors, which they state."""
+    """Camera frames of poses at given times, without errors; the stream states their size."""
     if camera.rate:
         frames = np.arange(time[0], time[-1], 1 / camera.rate)
         time, poses = frames, interpolated(frames, time, poses)
@@ -198,7 +198,7 @@ def _observations(
     errors: ModelErrors | None,
     carried: float = 0.0,
 ) -> Observations:
-    """The windows of some stretches, all held or all pushed; `carried` as `nulled_load`."""
+    """Windows of stretches, all of a held or all of a pushed object; `carried` as in `nulled_load`."""
     motion = Motion.of(shape, found, [each.trial for each in found], [each.accelerated for each in found])
     count, pushed = len(found), bool(motion.pushed.any())
     noise, bias, drift = (torch.tensor(each).expand(count, 6, 6) for each in sensor_at_tcp(sensing))
@@ -232,7 +232,7 @@ def _observations(
 
 
 def _tool_tilts(poses: Float[torch.Tensor, "K S 3"], begun: list[float]) -> Float[torch.Tensor, "K 2 6"]:
-    """`SteadyWindow.tool_tilt`, of a hand that had a yaw [rad] at the tare, or does not turn (NaN)."""
+    """`SteadyWindow.tool_tilt` of a hand with the yaws `begun` [rad] at the tare; NaN for a hand that does not turn."""
     now, then = (rotation_2d(-yaw) for yaw in (poses[..., 2].numpy(), np.array(begun)))
     force = np.zeros((len(poses), 2, 3))
     turned = np.nan_to_num(now.mean(axis=1) - then)
@@ -243,10 +243,12 @@ def _tool_tilts(poses: Float[torch.Tensor, "K S 3"], begun: list[float]) -> Floa
 def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Covariances of a sensor's errors about the TCP, axes up, each (6, 6).
 
-    They are of the noise of a mean over one second, of the bias after the tare, and of the drift in one second.
+    In order: noise of the mean over one second, bias after the tare, and drift in one second.
     """
     std = np.array([*sensing.force_noise, *sensing.torque_noise])
-    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)  # whichever way the hand turned
+    std[[0, 1, 3, 4]] = np.sqrt(
+        (std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2
+    )  # mean over the directions of the hand
     noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
     down = to_tcp()
     each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)
@@ -262,12 +264,12 @@ def to_tcp() -> np.ndarray:
 def predicted_lifts(
     actions: Sequence[Action], sensing: Sensing, setup: SetupErrors = EXACT_SETUP
 ) -> dict[int, list[LiftWindow]]:
-    """Windows of the lifts among some actions, by their place, their wrenches left at zero."""
+    """Windows of the lifts among the actions, by their index, with wrenches of zero."""
     return {i: predicted_lift(a, sensing, setup) for i, a in enumerate(actions) if isinstance(a, Lift)}
 
 
 def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SETUP) -> list[LiftWindow]:
-    """Windows of one lift, their wrenches left at zero."""
+    """Windows of one lift, with wrenches of zero."""
     profile = action.sampled(1 / RATE)
     noise, bias, drift = sensor_at_tcp(sensing)
     axes = _level(profile.angle)
@@ -310,7 +312,7 @@ def predicted_lift(action: Lift, sensing: Sensing, setup: SetupErrors = EXACT_SE
 
 
 def _level(angle: np.ndarray) -> np.ndarray:
-    """The table's axes in those of an object that is turned about x or y by the angles, (N, 3, 3), one per row."""
+    """Axes of the table, one per row, in the frame of an object tilted about x and y by `angle`, shape (N, 3, 3)."""
     x, y, none = angle[:, 0], angle[:, 1], np.zeros(len(angle))
     along_x, along_y = np.stack([np.cos(y), none, np.sin(y)], 1), np.stack([none, np.cos(x), -np.sin(x)], 1)
     upwards = np.column_stack([-np.sin(y), np.sin(x), np.cos(x) * np.cos(y)])
@@ -318,7 +320,7 @@ def _level(angle: np.ndarray) -> np.ndarray:
 
 
 def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
-    """Steady stretches of an action, trimmed as a record is."""
+    """Steady stretches of an action, trimmed like those of a record."""
     (at, angle), about, heading, time = action.hand(shape), action.center(shape), action.heading, BEFORE
     steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
     ends = np.cumsum([0.0, *steps])

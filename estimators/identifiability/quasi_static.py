@@ -1,4 +1,4 @@
-"""Quasi-static pushes: motion of objects whose Coulomb friction alone balances a fingertip's force."""
+"""Quasi-static pushes: motion of an object whose Coulomb friction balances the force of a fingertip."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Drag:
     friction: Float[np.ndarray, "P"]
     """Greatest friction of each [N]."""
     tolerance: float = 1e-15
-    """Error of the angles that motions are found by [rad]."""
+    """Tolerance of the angles of a motion [rad]."""
 
     def wrench(
         self, twist: Float[np.ndarray, "... 3"], point: Float[np.ndarray, "... 2"]
     ) -> Float[np.ndarray, "... 3"]:
-        """Force and torque about points [N, N m] that move it at twists of these [m/s, rad/s], object axes."""
+        """Force and torque about `point` [N, N m] for its twist [m/s, rad/s], object axes."""
         x, y = (self.particles[:, axis] - np.asarray(point)[..., axis, None] for axis in (0, 1))
         along_x, along_y = self._forces(x, y, twist)
         return np.stack([each.sum(axis=-1) for each in (along_x, along_y, x * along_y - y * along_x)], -1)
@@ -64,7 +64,7 @@ class Drag:
         normal: Float[np.ndarray, "C 2"],
         mu: Float[np.ndarray, "C"],
     ) -> Float[np.ndarray, "C 3"]:
-        """Twists of contact points [m/s, rad/s] that fingertips drive, each in a push of its own; object axes.
+        """Twists of the contact points of C pushes [m/s, rad/s], object axes.
 
         A contact sticks, or slides along the face at the edge of the cone of friction.
 
@@ -82,7 +82,7 @@ class Drag:
         if len(slides):
             at, inwards = point[slides], normal[slides]
             edge = np.copysign(cone, slope)[slides]
-            # as the contact's way turns, the force turns the same way: it goes around a convex limit surface
+            # the limit surface is convex, so the force turns in the same sense as the velocity of the contact
             far = -np.copysign(math.pi / 2, edge)
             way = _roots(
                 lambda way, each: self._turning(at[each], inwards[each], way)[1] - edge[each],
@@ -94,7 +94,10 @@ class Drag:
     def _turning(
         self, point: np.ndarray, normal: np.ndarray, way: np.ndarray
     ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C"]]:
-        """Twist without a moment about contacts that go a way [rad] from the normal, 1 m/s into it; force's angle."""
+        """Twists without moment about contacts, and the angles of the forces to the normals [rad].
+
+        A contact's velocity has the angle `way` [rad] to its normal, and 1 m/s along it.
+        """
         cos, sin = np.cos(way)[:, None], np.sin(way)[:, None]
         heading = cos * normal + sin * perpendicular(normal)
         x, y = (self.particles[:, axis] - point[:, axis, None] for axis in (0, 1))
@@ -106,7 +109,7 @@ class Drag:
         def moment(turn: np.ndarray, each: np.ndarray) -> np.ndarray:
             arm_x, arm_y = x[each], y[each]
             along_x, along_y = self._forces(arm_x, arm_y, twist(turn, each))
-            return (arm_x * along_y - arm_y * along_x).sum(axis=1)  # the moment alone: most of the calls
+            return (arm_x * along_y - arm_y * along_x).sum(axis=1)  # most calls need the moment alone
 
         quarter = np.full(len(way), math.pi / 2)
         still = twist(_roots(moment, -quarter, quarter, self.tolerance), np.arange(len(way)))
@@ -117,7 +120,7 @@ class Drag:
     def motion(self, shape: ObjectShape, pushes: Sequence[Push], step: float) -> list[PushedMotion]:
         """Motions under pushes, each of the object at the origin, sampled every `step` s.
 
-        One ends where the path slows down, or where the fingertip comes to the end of the face.
+        A motion ends where the path slows down, or where the fingertip reaches the end of the face.
         """
         lengths = [p.length - p.speed * RAMP_TIME / 2 for p in pushes]
         ways = [

@@ -1,7 +1,7 @@
 """Identifiability of an object's masses: rank, standard errors, and open directions, named in its groups.
 
-All of it follows from one matrix: the derivatives of the measurements in the masses and frictions, over the errors of
-the measurements. Its square is the Fisher information, so at the truth the errors are the Cramer-Rao bound.
+All quantities follow from one matrix: the derivatives of the measurements in the masses and frictions, over the errors
+of the measurements. Its square is the Fisher information, so at the truth the errors are the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from testbed.validation import frozen_array
 MOST_SETS = 4000
 """Greatest number of sets of unknowns that the search for sparse open directions tries."""
 LOOSE = 1 / 3
-"""Error of a group's mass, as a part of that before any trial, up to which it counts as known. Ours."""
+"""Error of a group's mass, as a part of the prior error, up to which it counts as known. Ours."""
 PART = 1e-3
 """Part of an open direction below which a group does not belong to it."""
 
@@ -35,11 +35,11 @@ class Identifiability:
     friction_error: Float[np.ndarray, "n_mu"]
     """Standard error of each friction coefficient, infinite where open."""
     rank: int
-    """Number of directions that are seen, out of `unknowns`."""
+    """Number of observed directions, out of `unknowns`."""
     unknowns: int
     """n_m + n_mu."""
     condition: float
-    """Ratio of the best to the worst seen direction, masses as parts of M, friction as a part of itself."""
+    """Ratio of the best to the worst observed direction, masses as parts of M, frictions as parts of themselves."""
     open_directions: Float[np.ndarray, "D unknowns"]
     """Changes of the masses [kg per group] and frictions that no measurement shows, sparse, one per row."""
     unobservable: tuple[str, ...]
@@ -66,7 +66,7 @@ class Identifiability:
 
     @property
     def sentence(self) -> str:
-        """Summary of what is seen and what is open."""
+        """Summary of the observed and the open directions."""
         text = f"all {self.unknowns} masses and frictions are observed"
         if self.rank < self.unknowns:
             open_ = "; ".join(self.unobservable)
@@ -81,8 +81,8 @@ def identifiability(
 ) -> Identifiability:
     """Report of a whitened Jacobian in the particle masses [kg] and frictions, taken at a distribution.
 
-    A direction is seen where its standard error is below the whole mass of the object, or the whole of a friction: the
-    weighing alone gives that much of a mass that is not negative.
+    A direction is observed where its standard error is below the object's mass, or the size of a friction: the weighing
+    alone gives that bound for masses >= 0.
     """
     count, n_m = shape.particles_per_group, shape.n_m
     whole = float(distribution.mass @ count)
@@ -109,10 +109,10 @@ def identifiability(
 
 
 def prior_masses(shape: ObjectShape, weight: float) -> Float[np.ndarray, "n_m n_m"]:
-    """Covariance of particle masses before any trial, where all ways to share M are as likely, kg^2.
+    """Covariance of particle masses before any trial, with all splits of M equally likely [kg^2].
 
-    Shares of a Dirichlet distribution, in proportion to the groups' sizes: for blocks of one size it is even over the
-    simplex.
+    The shares have a Dirichlet distribution in proportion to the groups' sizes: for blocks of one size it is uniform
+    over the simplex.
     """
     count = shape.particles_per_group
     part = count / count.sum()
@@ -149,7 +149,7 @@ def _sparse(rows: np.ndarray) -> np.ndarray:
         inside = np.array(list(combinations(range(columns), size)))
         outside = np.ones((len(inside), columns), dtype=bool)
         np.put_along_axis(outside, inside, False, axis=1)
-        # a vector of the space that is zero outside a set: a left null vector of what is outside
+        # a vector of the space that is zero outside a set is a left null vector of the columns outside
         without = rows.T[np.nonzero(outside)[1]].reshape(len(inside), columns - size, count)
         values, mixes = np.linalg.svd(without)[1:]
         least = values[:, count - 1] if columns - size >= count else np.zeros(len(inside))

@@ -1,7 +1,7 @@
-"""Trailing links: motion of an articulated object whose hand moves one link, the others by friction and inertia alone.
+"""Trailing links: motion of an articulated object whose hand moves one link, the others move by friction and inertia.
 
-Each step finds the turn rates that take the least power: of Coulomb friction under the particles and in the hinges, and
-of the change of their momentum. This is convex in the rates, so a hinge that stands needs no case of its own.
+Each step finds the turn rates of least power: of Coulomb friction under the particles and in the hinges, and of the
+change of their momentum. The power is convex in the rates, so a hinge at rest is no special case.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from testbed.objects.model import ObjectShape
 SLOW = 1e-4
 """Speed of a particle at which its friction fades [m/s], and rate of a hinge in tenths of rad/s."""
 GUESS = 0.01
-"""Friction of a hinge before any trial [N m]. Ours: a hinge that turns less freely stands sooner, and shows less."""
+"""Friction of a hinge before any trial [N m]. Ours: a hinge of more friction rests sooner and is less observable."""
 ROUNDS = 5
-"""Rounds in which a step's rates are found: each weighs friction by the speeds of the one before."""
+"""Iterations for the rates of a step; each weights friction by the speeds of the iteration before."""
 
 
 class TrailingMotion(NamedTuple):
@@ -33,7 +33,7 @@ class TrailingMotion(NamedTuple):
     profile: Profile
     """Progress of the hand at these times."""
     turned: Float[np.ndarray, "N L 3"]
-    """Yaw [rad], rate and slope of every link, of one that lay unturned."""
+    """Yaw [rad], rate and slope of every link, from a start at yaw 0."""
 
 
 def trailing_motions(
@@ -83,7 +83,7 @@ class _Links:
         self.across = np.diff(np.eye(chain.links), axis=0)  # rates of the hinges from those of the links
 
     def motions(self, actions: Sequence[Action], step: float) -> list[TrailingMotion]:
-        """Motions of trials by grasps of this link, side by side."""
+        """Motions of trials in grasps of this link, in one batch."""
         profiles = [action.profile(step) for action in actions]
         hands = [self._hand(action, profile) for action, profile in zip(actions, profiles, strict=True)]
         longest = max(map(len, hands))
@@ -114,7 +114,7 @@ class _Links:
     def _hand(self, action: Action, profile: Profile) -> Float[np.ndarray, "N 3"]:
         """Twist of the grasp point, axes of the held link."""
         point = action.hand(self.shape)[0]
-        if action.turns:  # progress is along the path, whichever way that turns
+        if action.turns:  # the profile is along the path, in both directions of turn
             rate = math.copysign(1.0, action.steady[0].speed) * profile.rate
             return rate[:, None] * np.array([*perpendicular(point - action.center(self.shape)), 1.0])
         return profile.rate[:, None] * np.array([*action.heading, 0.0])
@@ -146,7 +146,7 @@ class _Links:
         rate: Float[np.ndarray, "C F"],
         step: float,
     ) -> Float[np.ndarray, "C F"]:
-        """Turn rates of the free links one step on [rad/s]: of least power, by majorized friction.
+        """Turn rates of the free links after one step [rad/s]: those of least power, by majorization of friction.
 
         Args:
             along: velocity of every particle by the hand alone [m/s].

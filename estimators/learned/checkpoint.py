@@ -1,4 +1,4 @@
-"""Files of a learned posterior: the network with what it was trained on, and parts of its examples on the way there."""
+"""Files of a learned posterior: the network with the origin of its training, and parts of its examples."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from testbed.files import UNSEALED, load_sealed, write_sealed
 from testbed.worlds.setup_errors import SetupErrors
 
 FORMAT = 3
-"""Version of the format; one of another version is refused."""
+"""Version of the format; files of another version are refused."""
 LEAST_FREEDOM = 15
 """Degrees of freedom below which a misfit may be large by chance."""
 FALSE_ALARM = 0.01
-"""Share of the examples whose misfit of friction is above its limit; as many are above that of inertia."""
+"""Share of the examples whose misfit is above its limit, for friction and for inertia."""
 COMMAND = "heft learn"
 """Command that makes a checkpoint."""
 
@@ -77,7 +77,7 @@ class Checkpoint:
     limits: dict[str, float]
     """Largest misfit of the first answer by its name in `SUMMARY`; `FALSE_ALARM` of the examples are above."""
     loss: float
-    """Negative log density of the logarithm of a group's load, nats, on objects that were not trained on."""
+    """Negative log density of the logarithm of a group's load on held-out objects [nats]."""
     first: float
     """Loss of the first answer, a normal distribution with its errors."""
     core_seconds: float

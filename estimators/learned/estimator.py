@@ -1,4 +1,4 @@
-"""The learned posterior as an estimator, and the check that it is asked what it was trained on."""
+"""The learned posterior as an estimator, and the comparison of its inputs with its training."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
     from estimators.learned.network import Network
 
 AXES = 8
-"""Axes, turned evenly, in which the network is asked; draws are shared among them."""
+"""Number of rotated frames in which the network is evaluated; the draws are divided among them."""
 SLACK = 0.05
-"""Part of the range of the examples by which a number may be outside."""
+"""Tolerance of the range of the examples, as a part of that range."""
 LARGER = 1.25
-"""Factor by which a stated error of the setup may be larger than those trained on."""
+"""Largest ratio of a stated error of the setup to the one of the training."""
 NOT_LEARNED = ("scale", "tool_mass", "tool_com")
-"""Errors that may be any: the weighing's is added to the draws, and a tare takes what the tool's weight adds."""
+"""Errors without a limit: the weighing's is added to the draws, and the tare removes the tool's weight."""
 
 
 @dataclass(frozen=True)
 class Learned:
     """Posterior that a network has learned from simulated trials (`heft learn`); needs the extra `learned`.
 
-    It knows joined blocks on their own weight with one friction, turns there and back and accelerated turns, in a lab.
-    Asked anything else it answers `assumption_violated`.
+    It covers joined blocks on their own weight with one friction, turns there and back and accelerated turns, in a lab.
+    Other inputs get the status `assumption_violated`.
     """
 
     checkpoint: str = ""
@@ -66,7 +66,7 @@ class Learned:
         return Path(self.checkpoint).expanduser() if self.checkpoint else default_path()
 
     def check_installed(self) -> None:
-        """Check that package and checkpoint are there.
+        """Check that package and checkpoint exist.
 
         Raises:
             InvalidValueError: the extra is not installed, or no checkpoint.
@@ -123,10 +123,10 @@ class Learned:
         status, why = misfit.status, misfit.reason
         if far := _outside(question, learned):
             status, why = "assumption_violated", far
-        elif misfit.explains and (strange := _strange(question, learned)):
-            status, why = "unexplained", strange
-        elif misfit.explains and (loose := _open(answer, shape, question.rank)):
-            status, why = "underdetermined", loose
+        elif misfit.explains and (large_misfit := _misfitting(question, learned)):
+            status, why = "unexplained", large_misfit
+        elif misfit.explains and (undetermined := _undetermined(answer, shape, question.rank)):
+            status, why = "underdetermined", undetermined
         return replace(answer, status=status, message=why, seconds=time.perf_counter() - begin)
 
     def _loaded(self) -> tuple[Network, Checkpoint]:
@@ -138,7 +138,7 @@ class Learned:
 
 @lru_cache(maxsize=2)
 def _load(path: Path, fingerprint: str) -> tuple[Network, Checkpoint]:
-    """Network of a file, once for each change of it."""
+    """Network of a file, loaded once for each version of it."""
     from estimators.learned.network import Network, Sizes  # noqa: PLC0415  zuko is an optional extra
 
     learned = Checkpoint.load(path)
@@ -195,10 +195,10 @@ def _outside(question: Question, learned: Checkpoint) -> str:
     return f"unlike the examples: {SUMMARY[worst]} is {value:.3g}, learned from {low:.3g} to {high:.3g}"
 
 
-def _strange(question: Question, learned: Checkpoint) -> str:
-    """Misfit of the first answer, of friction or inertia, beyond that of the examples, in words; empty if it is not.
+def _misfitting(question: Question, learned: Checkpoint) -> str:
+    """Misfit of the first answer, of friction or inertia, above the limit of the examples, in words; else empty.
 
-    The stated errors of a lab are wide: other errors, such as a rigid support, hide below the limit of other methods.
+    The stated errors of a lab are large, so other errors, such as a rigid support, pass the limit of other methods.
     """
     found: dict[str, float] = dict(zip(SUMMARY, question.summary.exp().tolist(), strict=True))
     few = len(question.first.b) - len(question.center) < LEAST_FREEDOM
@@ -209,8 +209,8 @@ def _strange(question: Question, learned: Checkpoint) -> str:
     return ""
 
 
-def _open(answer: Estimate, shape: ObjectShape, rank: int) -> str:
-    """Why the masses are not determined, in words; empty if they are."""
+def _undetermined(answer: Estimate, shape: ObjectShape, rank: int) -> str:
+    """Reason why the masses are not determined; empty if they are."""
     if rank < shape.n_m:
         return f"rank(Q) is {rank} and {shape.n_m} friction loads are unknown: turn about more points"
     assert answer.distribution is not None

@@ -27,7 +27,7 @@ TRIALS = 14
 SUBSETS = 3
 """Examples of an object, each of other trials."""
 NEAR = 0.5
-"""Part of the objects that are turned beside their grasps alone, as fixed sets of trials do; others anywhere too."""
+"""Part of the objects whose turns are all about points beside their grasps, as in fixed sets of trials."""
 SPEEDS, SECONDS = (np.radians(5), np.radians(15)), (3.0, 9.0)
 """Turn rates, rad/s, and times at constant speed, s."""
 RATES = 25.0, 50.0
@@ -36,7 +36,7 @@ RATES = 25.0, 50.0
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """N questions, padded to G groups and W windows. Groups that are not there have zeros, and a covariance of one."""
+    """N questions, padded to G groups and W windows. Absent groups have zeros, and a variance of 1."""
 
     center: Float[Tensor, "N G 2"]
     mean: Float[Tensor, "N G"]
@@ -45,9 +45,9 @@ class Examples:
     edges: Float[Tensor, "N W G e"]
     summary: Float[Tensor, "N n"]
     groups: Bool[Tensor, "N G"]
-    """True for groups that are there."""
+    """True for the groups of the object."""
     windows: Bool[Tensor, "N W"]
-    """True for windows that are there."""
+    """True for the windows of the trials."""
     truth: Float[Tensor, "N G"]
     """Logarithm of each group's friction load over the object's weight; zeros where it is not known."""
 
@@ -55,7 +55,7 @@ class Examples:
     def of(questions: Sequence[Question], truths: Sequence[Float[Tensor, "G"]] = ()) -> Examples:
         """Questions, with their truths if those are known."""
         known = truths or [torch.zeros_like(question.first.mean) for question in questions]
-        return Examples.joined([_alone(*each) for each in zip(questions, known, strict=True)])
+        return Examples.joined([_single(*each) for each in zip(questions, known, strict=True)])
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -67,7 +67,7 @@ class Examples:
     def joined(parts: Sequence[Examples]) -> Examples:
         """Examples of several parts together."""
         most = max(p.mean.shape[1] for p in parts), max(p.windows.shape[1] for p in parts)
-        wide = [vars(p._wider(*most)) for p in parts]
+        wide = [vars(p._padded(*most)) for p in parts]
         return Examples(*(torch.cat([values[name] for values in wide]) for name in wide[0]))
 
     def turned(self, angle: Float[Tensor, "N"], mirrored: Bool[Tensor, "N"]) -> Examples:
@@ -92,11 +92,11 @@ class Examples:
         )
 
     def order(self, angle: Float[Tensor, "N"]) -> Int[Tensor, "N G"]:
-        """Groups by their places along a direction, rad: what they are called does not count."""
+        """Groups in the order of their places along a direction [rad], which does not depend on their names."""
         along = self.center[..., 0] * angle.cos()[:, None] + self.center[..., 1] * angle.sin()[:, None]
         return along.masked_fill(~self.groups, torch.inf).argsort(1)
 
-    def _wider(self, groups: int, windows: int) -> Examples:
+    def _padded(self, groups: int, windows: int) -> Examples:
         g, w = groups - self.mean.shape[1], windows - self.windows.shape[1]
         covariance = pad(self.covariance, (0, g, 0, g))
         covariance = covariance + torch.diag(pad(torch.zeros(groups - g), (0, g), value=1.0)).double()
@@ -113,15 +113,15 @@ class Examples:
         )
 
 
-def _alone(question: Question, truth: Float[Tensor, "G"]) -> Examples:
-    """One question with its truth."""
+def _single(question: Question, truth: Float[Tensor, "G"]) -> Examples:
+    """Example of one question with its truth."""
     first, there = question.first, [torch.ones(n, dtype=torch.bool) for n in question.edges.shape[1::-1]]
     values = question.center, first.mean, first.covariance, question.group, question.edges, question.summary
     return Examples(*(each[None] for each in (*values, *there, truth)))
 
 
 def fixed_axes(count: int) -> tuple[Float[Tensor, "N"], Bool[Tensor, "N"]]:
-    """Angles spread evenly, rad, and mirrors by turns."""
+    """Angles at equal distances [rad], every second one mirrored."""
     return 2 * torch.pi * (torch.arange(count, dtype=torch.float64) + 0.5) / count, torch.arange(count) % 2 == 1
 
 
@@ -155,7 +155,7 @@ def _of_object(seed: int, index: int) -> list[tuple[Question, Tensor]]:
 
 
 def _action(obj: ObjectModel, rng: np.random.Generator, *, near: bool) -> TableAction:
-    """An accelerated turn, or one there and back: beside the grasp, or unless `near` about any point of the object."""
+    """Accelerated turn, or turn there and back about a point beside the grasp or, unless `near`, any point."""
     grasp = int(rng.integers(len(obj.shape.grasps)))
     if rng.uniform() < 0.4:
         return Accelerate(grasp)

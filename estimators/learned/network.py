@@ -1,7 +1,8 @@
 """Network: attention over windows and groups, and a conditional normalizing flow over the groups' loads.
 
-The flow is autoregressive over the groups: each has an affine map and a spline of one number, of the groups before it.
-Its number is the departure of the logarithm of its load from the first answer, in units of the first answer's error.
+The flow is autoregressive over the groups: the number of each group has an affine map and a spline, conditioned on
+the groups before it. The number is the departure of the logarithm of its load from the first answer, in units of the
+first answer's error.
 Needs the extra `learned`.
 """
 
@@ -19,7 +20,7 @@ from zuko.transforms import MonotonicRQSTransform
 from estimators.learned.examples import Examples
 
 FAR = 4.5
-"""Departure from the first answer, in its errors, at which it fades into this one as seen by later groups."""
+"""Bound of a departure from the first answer as an input of later groups, in errors of the first answer."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,10 @@ class Network(nn.Module):
         )
 
     def standardize(self, examples: Examples) -> None:
-        """Take means and spreads of the inputs from examples."""
-        there = (examples.windows[:, :, None] & examples.groups[:, None]).float()[..., None]
+        """Set means and standard deviations of the inputs to those of examples."""
+        present = (examples.windows[:, :, None] & examples.groups[:, None]).float()[..., None]
         for name, values, weight in (
-            ("edge", examples.edges, there),
+            ("edge", examples.edges, present),
             ("group", examples.group, examples.groups.float()[..., None]),
             ("summary", examples.summary, torch.ones(len(examples), 1)),
         ):
@@ -114,8 +115,8 @@ class Network(nn.Module):
 
     def _contexts(self, token: Float[Tensor, "N G d"], z: Float[Tensor, "N G"]) -> Float[Tensor, "N G d"]:
         """Context of each group's number: its token, and tokens and numbers of the groups before it."""
-        known = FAR * torch.tanh(z / FAR)
-        shifted = torch.nn.functional.pad(torch.stack([known, torch.ones_like(z)], -1)[:, :-1], (0, 0, 1, 0))
+        bounded = FAR * torch.tanh(z / FAR)
+        shifted = torch.nn.functional.pad(torch.stack([bounded, torch.ones_like(z)], -1)[:, :-1], (0, 0, 1, 0))
         mask = torch.ones(z.shape[1], z.shape[1], dtype=torch.bool).triu(1)
         return self.in_order(token + self.before(shifted), src_mask=mask)
 

@@ -1,4 +1,4 @@
-"""Trials of one object as the network reads them: windows, groups, and a first answer by linear equations.
+"""Input of the network for the trials of one object: windows, groups, and a first answer by linear equations.
 
 The first answer is a Gauss-Newton fit of the logarithms of the friction loads to Algorithm 1's equations, with the
 stated errors as covariance: the network learns how the truth departs from it.
@@ -30,11 +30,11 @@ from testbed.worlds.setup_errors import SetupErrors
 ROUNDS = 15
 """Gauss-Newton steps."""
 SPREAD, LEVEL = 0.8, 2.0
-"""Prior standard deviations of the logarithm of a group's load about the mean of all, and of that mean."""
+"""Prior standard deviations of the logarithm of a group's load about the mean over the groups, and of that mean."""
 PLAIN = 0.03
 """Error of a window in the guess before the first answer, as a part of the drag."""
 VECTORS = 4
-"""Planar vectors at the head of an edge; then as many torques less one, which change sign in a mirror."""
+"""Number of planar vectors at the start of an edge; `VECTORS` - 1 torques follow, which change sign in a mirror."""
 TURNS = "accelerated turns"
 MISFIT, MISFIT_OF_INERTIA = "misfit of friction, in logarithm", "misfit of inertia, in logarithm"
 SUMMARY = (
@@ -260,7 +260,7 @@ def _edges(
     error: Float[Tensor, "W 3"],
     accelerated: Tensor,
 ) -> Float[Tensor, "W G e"]:
-    """Edges of windows and groups, `VECTORS` first, then torques, then what no turn of the axes changes."""
+    """Edges of windows and groups: `VECTORS` planar vectors, torques, then numbers that no turn of the axes changes."""
     per = rows.transpose(1, 2)
     own = [each[:, None].expand(-1, per.shape[1], -1) for each in (wrench, residual)]
     plain = torch.cat([error[:, :2].mean(1, keepdim=True), error[:, 2:]], 1).log()

@@ -1,4 +1,4 @@
-"""Training of the network on examples, judged on objects that it was not trained on."""
+"""Training of the network on examples, and its loss on held-out objects."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def train(
     progress: Callable[[str, int, int], object] = lambda stage, done, total: None,
     seconds: float = 0.0,
 ) -> Checkpoint:
-    """Network of the epoch that is best on the examples held out.
+    """Network of the epoch with the least loss on the held-out examples.
 
     Args:
-        examples: examples to train on, each time in axes drawn anew.
+        examples: examples to train on, in random axes in each epoch.
         held_out: examples of other objects.
-        origin: where they are from; its seed draws weights and batches.
+        origin: origin of the examples; its seed draws weights and batches.
         epochs: passes through the examples.
         progress: called after each epoch with stage, epochs done and epochs in all.
         seconds: CPU time that the examples took, s.

@@ -2,5 +2,5 @@
 
     pytest --pyargs estimators.testing --estimator package:Class
 
-The pytest plugin gives tests of one's own the fixtures `known_block`, `sensing` and `recorded_trials`.
+The pytest plugin gives other tests the fixtures `known_block`, `sensing` and `recorded_trials`.
 """

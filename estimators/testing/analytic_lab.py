@@ -1,7 +1,7 @@
 """Analytic lab: trials of objects under Coulomb friction with every error of a setup drawn, in plain numpy.
 
 An object stands on its own weight on contact points of its own, or is one rigid body; grasp, TCP, table and sensor are
-off by draws of the stated errors. Records say what a robot would say, as if nothing were wrong.
+off by draws of the stated errors. Records have the values that a robot would report, which does not know the errors.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.
     shape, parts = obj.shape, []
     feet, count = Feet.of(obj), len(shape.feet)
     if count:
-        aside = setup.foot_offset * rng.standard_normal((count, 2))
-        feet = Feet.known(obj, aside, setup.foot_load * rng.standard_normal(count))
+        shift = setup.foot_offset * rng.standard_normal((count, 2))
+        feet = Feet.known(obj, shift, setup.foot_load * rng.standard_normal(count))
     offset = setup.particle_offset * rng.standard_normal((shape.n_m, 2))
     friction = 1 + setup.group_friction * rng.standard_normal(shape.n_m)
     for group in range(shape.n_m):
@@ -104,7 +104,7 @@ def contacts(obj: ObjectModel, pattern: str, setup: SetupErrors, rng: np.random.
 def points_under(
     cells: np.ndarray, pattern: str, half: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points under a block of half a side's length, and their shares of its load."""
+    """Points under a block whose half side is `half` [m], and their shares of its load."""
     middle = cells.mean(axis=0)
     if pattern == "random":
         while True:
@@ -146,7 +146,7 @@ def rigid_loads(position: np.ndarray, obj: ObjectModel, *, widest: bool) -> np.n
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """One setup as it is: everything but the contacts and what is drawn by trial."""
+    """Errors of one setup, without the contacts and the errors that are drawn in each trial."""
 
     setup: SetupErrors
     waves: np.ndarray
@@ -190,7 +190,7 @@ def departure(
     place: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Drag of every foot beside Coulomb's, drawn for the trial and for each stretch of it."""
+    """Departure of every foot's drag from Coulomb's law, drawn for the trial and for each stretch of it."""
     of_trial, *of_stretch = setup.friction_law * rng.standard_normal((2 + segment.max(), 3))
     along, across, around = (of_trial + np.array([*of_stretch, np.zeros(3)])[segment]).T[..., None, None]
     arm = place - place.mean(axis=1, keepdims=True)
@@ -201,9 +201,9 @@ def departure(
 def flawed_trial(
     obj: ObjectModel, action: TableAction, feet: Contacts, draw: Draw, rng: np.random.Generator, rate: float = RATE
 ) -> Trajectory:
-    """Record of one action in a drawn world, as if nothing were wrong.
+    """Record of one action in a drawn setup, with the values that a robot would report.
 
-    At another `rate` [Hz] than the usual, a sample has as much more or less noise that means have the same.
+    The noise of a sample scales with the root of `rate` [Hz], so that means over time have the same noise.
     """
     shape, setup = obj.shape, draw.setup
     grasp = shape.grasps[action.grasp]
@@ -230,9 +230,9 @@ def flawed_trial(
     h1, h2 = 2 * draw.axes
     along = unit @ np.array([[1 + h1, h2], [h2, 1 - h1]])
     push = drag[..., None] * along / np.sqrt(np.maximum((along * unit).sum(-1), 1e-30))[..., None]
-    beside = rng.spawn(1)[0]  # draws of its own: the others are the same in every world
+    law_rng = rng.spawn(1)[0]  # a stream of its own: the other draws do not depend on it
     if setup.friction_law:
-        push = push + departure(setup, segment, drag, push, world, beside)
+        push = push + departure(setup, segment, drag, push, world, law_rng)
     com = np.einsum("nij,j->ni", out, to_com)
     com_acceleration = acceleration + alpha[:, None] * perpendicular(com) - spin[:, None] ** 2 * com
     pull = obj.total_mass * GRAVITY * draw.tilt  # a slope along x and y
@@ -276,7 +276,7 @@ def flawed_trial(
 
 
 def drawn(index: int, seed: int, pattern: str, blocks: tuple[int, int] = (4, 8), least_grasps: int = 3) -> ObjectModel:
-    """An object that can be gripped at three blocks or more, on feet of known places where the pattern is of such."""
+    """Random object with a number of blocks in `blocks` and `least_grasps` grasps or more; `PADS` adds known feet."""
     rng = np.random.default_rng([seed, index])
     for attempt in range(1000):
         size, own = float(rng.uniform(0.03, 0.06)), int(rng.integers(2**31))

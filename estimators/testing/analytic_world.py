@@ -56,7 +56,7 @@ def record(count: int = 400, *, tare: int = 100, orientation: Rotation = DOWN, *
     return Trajectory(**values | changes)
 
 
-@lru_cache(maxsize=256)  # rules ask for the same records, and windows are kept by record
+@lru_cache(maxsize=256)  # rules share records, and windows are cached by record
 def analytic_trial(
     obj: ObjectModel,
     action: Rotate | Accelerate | Slide,
@@ -186,7 +186,7 @@ def _drawn(seed: int, layout: tuple[str, ...], friction_groups: int) -> ObjectMo
 def motion(action: TableAction, rate: float = RATE, *, same_places: bool = False) -> tuple[np.ndarray, ...]:
     """Distance along the path, its rate and slope, and the steady stretch, at every sample.
 
-    A way back begins where the way there ends, or has its samples at the `same_places`.
+    A way back starts where the way there ends; with `same_places` it is sampled at the same places.
     """
     parts, begin = [], 0.0
     for segment, (speed, slope, seconds) in enumerate(action.steady):

@@ -1,6 +1,6 @@
-"""The pytest plugin: options that name an estimator, and known blocks as fixtures for tests of one's own.
+"""The pytest plugin: options that name an estimator, and known blocks as fixtures for other tests.
 
-Every pytest loads this where heft is installed, so it imports nothing of heft until it is asked for.
+Every pytest run loads this plugin where heft is installed, so it imports heft only on demand.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 BLOCKS = sorted(path.stem for path in (Path(__file__).parent / "blocks").glob("*.parquet"))
 SENSORS = ("ideal", "ft300s", "low", "moderate", "high")
-_ASKED = pytest.StashKey[Any]()
+_ESTIMATOR = pytest.StashKey[Any]()
 
 pytest.register_assert_rewrite("estimators.testing.conformance")
 
@@ -33,14 +33,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--estimator-support",
         choices=("own_weight", "rigid", "both"),
         default="both",
-        help="who carries the weight of the blocks that it claims to know (default: both)",
+        help="support of the blocks that the estimator claims to know (default: both)",
     )
     group.addoption(
         "--estimator-slack", metavar="X", type=_slack, default=1.0, help="factor on the allowed NAD, > 0 (default: 1)"
     )
-    group.addoption(
-        "--estimator-small", action="store_true", help="hold the rules against small objects, where it takes long"
-    )
+    group.addoption("--estimator-small", action="store_true", help="small objects for the rules, for slow estimators")
     group.addoption(
         "--estimator-thorough", action="store_true", help="every block under every sensor, not under one or two of them"
     )
@@ -54,7 +52,7 @@ def _slack(text: str) -> float:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Build the estimator before anything runs: what is wrong with it is one line."""
+    """Build the estimator before the tests, so that an error is one line."""
     name = config.getoption("--estimator")
     if name is None:
         return
@@ -73,7 +71,7 @@ def pytest_configure(config: pytest.Config) -> None:
         allowed = 'settings as TOML, such as "iterations = 60, use_weight = true"'
         raise pytest.UsageError(f"--estimator-settings: got {given!r}; allowed: {allowed}") from None
     try:
-        config.stash[_ASKED] = configured(
+        config.stash[_ESTIMATOR] = configured(
             class_of(str(name), "--estimator", "or package:Class"), settings, "--estimator-settings"
         )
     except InvalidValueError as error:
@@ -83,9 +81,9 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def estimator(pytestconfig: pytest.Config) -> Estimator:
     """The estimator that `--estimator` names."""
-    if _ASKED not in pytestconfig.stash:
+    if _ESTIMATOR not in pytestconfig.stash:
         pytest.exit("which estimator? --estimator package:Class", returncode=pytest.ExitCode.USAGE_ERROR)
-    return pytestconfig.stash[_ASKED]
+    return pytestconfig.stash[_ESTIMATOR]
 
 
 @pytest.fixture(scope="session", params=BLOCKS)
@@ -104,5 +102,5 @@ def sensing(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def recorded_trials(known_block: KnownBlock, sensing: str) -> list[Trajectory]:
-    """The known block's trials as that sensor would have given them: what an estimator is given."""
+    """Trials of the known block with the errors of that sensor, as an estimator gets them."""
     return known_block.trials(sensing)

@@ -38,7 +38,7 @@ _QUANTA: dict[str, tuple[float, ...]] = {
     "sensor_orientation": (1e-6,) * 4,
     "sensor_wrench": (1e-3,) * 3 + (1e-4,) * 3,
 }
-"""Quanta of the columns: a hundredth of the best sensor's noise, and less."""
+"""Quanta of the columns: at most a hundredth of the best sensor's noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class KnownBlock:
     """Known block: an object, its support, and clean trials of it."""
 
     model: ObjectModel
-    """Object with its truth, which is not for the estimator."""
+    """Object with its truth, which an estimator must not get."""
     support: str
     """own_weight or rigid."""
     clean: tuple[Trajectory, ...]

@@ -37,7 +37,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if metafunc.function is test_known_block:
         met = cases(thorough=bool(metafunc.config.getoption("--estimator-thorough")))
         mark = pytest.mark.parametrize(("known_block", "sensing"), met, indirect=True, scope="session")
-        metafunc.definition.add_marker(mark)  # in place of what the fixtures would give: every block, every sensor
+        metafunc.definition.add_marker(mark)  # replaces the fixtures' own parameters, all blocks times all sensors
 
 
 def cases(*, thorough: bool) -> list[tuple[str, str]]:
@@ -50,15 +50,15 @@ def cases(*, thorough: bool) -> list[tuple[str, str]]:
 
 
 _RAISED: set[tuple[str, int | None]] = set()
-"""Files and lines of errors whose traceback has been shown."""
+"""Files and lines of errors whose traceback was shown."""
 
 
 def checked(check: Callable[[], Any], what: str = "") -> Any:
-    """Result of a check; a breach ends in its sentence, any other error with its traceback, the first time."""
+    """Result of a check; a breach fails with its sentence, any other error with its traceback, once for each place."""
     try:
         return check()
     except AssertionError as error:
-        breach = str(error).partition("\nassert ")[0]  # the sentence; what pytest makes of the line is left out
+        breach = str(error).partition("\nassert ")[0]  # without pytest's introspection
     except Exception as error:
         last = extract_tb(error.__traceback__)[-1]
         if (last.filename, last.lineno) not in _RAISED:
@@ -89,7 +89,7 @@ def test_rule_for_methods_that_draw_nothing(estimator: Estimator, rule: Callable
 
 
 def test_no_truth_is_within_reach() -> None:
-    """Trials of a known block, as `estimate` is given them, do not lead to the true masses or the clean wrench."""
+    """Trials of a known block, as `estimate` is given them, contain neither the true masses nor the clean wrench."""
     block = load_block(BLOCKS[0])
     given = {"shape": block.model.shape, "weight": block.weighed("ft300s"), "trajectories": block.trials("ft300s")}
     assert truth_within_reach(given | {"seed": 0}, block.model, block.clean) == []

@@ -1,6 +1,6 @@
 """Search for the truth in what a method or a policy is given: no record of a simulated trial may hold it.
 
-A method that reads heft's own files or another object's memory is beyond this: it is held to what it is handed.
+Only the arguments of a method are searched, not the files and the memory that it could read.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from testbed.worlds.presets import WORLDS, World
 from testbed.worlds.setup_errors import PARAMETERS
 
 SECRET_WORDS = frozenset("seed support stiffness preset truth total friction figures state solids world draw".split())
-"""Words that no name of an attribute or of an entry that says anything may hold."""
+"""Words that the name of a non-empty attribute or entry must not contain."""
 ALLOWED_NAMES = frozenset(("friction_group", "wrench_on_object_world", *PARAMETERS))
-"""Names that say how the shape is divided, or how large an error may be, and no coefficient."""
+"""Names of the division of the shape and of the sizes of errors, which contain no coefficient."""
 SECRET_TEXTS = frozenset((*PRESETS, *WORLDS, "own_weight", "rigid")) - {"low", "high"}
 """Texts that name a sensor or a support."""
 MOST_INTEGERS = 64
-"""Integers with which a draw is tried, the largest first: seeds are large."""
+"""Greatest number of integers that are tried as a seed, the largest first: seeds are large."""
 TOLERANCE = 1e-9
 """Distance from the true wrench within which it is rebuilt [N, N m]."""
 
@@ -41,8 +41,8 @@ def truth_within_reach(given: Mapping[str, Any], model: ObjectModel, clean: Sequ
         model: object with its truth, to recognize what has been found.
         clean: records of a perfect sensor behind the trajectories in `given["trajectories"]`.
     """
-    found = list(_walked(given))
-    names = [f"{path} is given" for path, name, value in found if _secret(name) and _says_something(value)]
+    found = list(_reachable(given))
+    names = [f"{path} is given" for path, name, value in found if _secret(name) and _is_filled(value)]
     texts = [f"{path} says {value!r}" for path, _, value in found if isinstance(value, str) and _names_secret(value)]
     secret = (ObjectModel, World, WorldDraw)
     held = [f"{path} is of {type(value).__name__}" for path, _, value in found if isinstance(value, secret)]
@@ -59,8 +59,8 @@ def truth_within_reach(given: Mapping[str, Any], model: ObjectModel, clean: Sequ
     return [*names, *texts, *held, *values, *seeds, *rebuilt]
 
 
-def _walked(value: Any, path: str = "", name: str = "", depth: int = 12) -> Iterator[tuple[str, str, Any]]:
-    """Path, own name and value of all that can be reached by attributes, entries and items."""
+def _reachable(value: Any, path: str = "", name: str = "", depth: int = 12) -> Iterator[tuple[str, str, Any]]:
+    """Path, name and value of everything within reach by attributes, entries and items."""
     if path:
         yield path, name, value
     if depth == 0 or isinstance(value, str | bytes | int | float | np.ndarray | Enum | type | None):
@@ -72,15 +72,15 @@ def _walked(value: Any, path: str = "", name: str = "", depth: int = 12) -> Iter
     else:
         parts = [(f"{path}.{key}", key, part) for key, part in getattr(value, "__dict__", {}).items()]
     for where, called, part in parts:
-        yield from _walked(part, where, called, depth - 1)
+        yield from _reachable(part, where, called, depth - 1)
 
 
 def _secret(name: str) -> bool:
-    """True if a name may say the truth; the arguments' own names are the protocol's."""
+    """True if a name may stand for the truth; the names of arguments are the protocol's."""
     return name not in ALLOWED_NAMES and not SECRET_WORDS.isdisjoint(name.split("_"))
 
 
-def _says_something(value: Any) -> bool:
+def _is_filled(value: Any) -> bool:
     return isinstance(value, int | float) or bool(np.size(value) if isinstance(value, np.ndarray) else value)
 
 
@@ -94,9 +94,9 @@ def _true_number(path: str, value: Any, model: ObjectModel) -> Iterator[str]:
     if not isinstance(value, float | np.ndarray):
         return
     numbers = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
-    if numbers.size > model.shape.n_m + model.shape.n_mu:  # series and geometry, which may meet by chance
+    if numbers.size > model.shape.n_m + model.shape.n_mu:  # series and geometry may contain equal numbers by chance
         return
-    # masses of whole blocks and frictions are round: they meet a speed or a length by chance
+    # masses of whole blocks and frictions are round numbers, which equal a speed or a length by chance
     for what, true in {"mass": [*model.truth.mass, model.total_mass], "inertia": [model.inertia_cm]}.items():
         if np.isclose(numbers[:, None], np.array(true), rtol=1e-12, atol=0.0).any():
             yield f"{path} holds a true {what}"
@@ -112,7 +112,7 @@ def _integers(value: Any) -> set[int]:
 
 
 def _redrawn(index: int, seen: Trajectory, clean: Trajectory, integers: Sequence[int]) -> Iterator[str]:
-    """Integers that, taken as a seed of some sensor's draw, leave the clean wrench when the draw is taken off."""
+    """Integers that, as the seed of a sensor's draw, give the clean wrench after subtraction of the draw."""
     silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench), provenance={"runner": "simulation"})
     for integer in integers:
         for name, sensor in PRESETS.items():

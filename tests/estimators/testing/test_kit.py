@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -120,8 +120,6 @@ def test_every_draw_has_errors_of_its_own_and_the_same_ones_again():
 
 OTHER = MassDistribution(np.array([0.1, 0.2]), np.array([0.5]))
 SILENT = Estimate(None, "underdetermined", "too few turns")
-
-
 LATE: dict[str, Any] = {"status": "not_converged", "message": "no"}
 VERDICTS = [
     ("L2-own_weight", "ideal", right, None),
@@ -142,16 +140,19 @@ VERDICTS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "sensing", "answer", "breach"), VERDICTS)
-def test_an_answer_is_judged_by_the_truth(name, sensing, answer, breach):
+def breach(message: str | None) -> AbstractContextManager[object]:
+    """Context that expects an AssertionError with this message, or none."""
+    return nullcontext() if message is None else pytest.raises(AssertionError, match=message)
+
+
+SLACK = [*((*each, 1.0) for each in VERDICTS), ("L2-own_weight", "ideal", even, None, 6.0)]
+
+
+@pytest.mark.parametrize(("name", "sensing", "answer", "message", "slack"), SLACK)
+def test_an_answer_is_judged_by_the_truth(name, sensing, answer, message, slack):
     block = load_block(name)
-    with nullcontext() if breach is None else pytest.raises(AssertionError, match=breach):
-        recovers(answering(answer, block), block, sensing, [])
-
-
-def test_slack_allows_more():
-    block = load_block("L2-own_weight")
-    recovers(answering(even, block), block, "ideal", [], slack=6.0)
+    with breach(message):
+        recovers(answering(answer, block), block, sensing, [], slack)
 
 
 @pytest.mark.parametrize("name", FEW)
@@ -174,23 +175,23 @@ def test_frictions_that_inertia_alone_tells_apart_are_found_along_the_valley():
         assert normalized_absolute_difference(block.model.shape, found.distribution, block.model.truth) < 0.1
 
 
-def doubted(change: Callable[[Estimate, ObjectShape], np.ndarray]) -> Estimator:
+def doubted(change: Callable[[Any, ObjectShape], np.ndarray]) -> Estimator:
     """The real estimator with another covariance."""
     return changed(lambda answer, shape: replace(answer, covariance=change(answer, shape)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "breach"),
+    ("wrong", "message"),
     [
         (lambda answer, _: answer.covariance, None),
         (lambda answer, _: answer.covariance / 9, "off by .* times their claimed errors"),
         (lambda answer, shape: answer.covariance * shape.particles_per_group[0] ** 2, "not of the groups"),
     ],
 )
-def test_errors_are_held_against_those_that_are_claimed(wrong, breach):
+def test_errors_are_compared_with_the_claimed_ones(wrong, message):
     blocks = [load_block(name) for name in CLAIMED]
-    with nullcontext() if breach is None else pytest.raises(AssertionError, match=breach):
+    with breach(message):
         assert claims_errors_of_their_size(doubted(wrong), blocks) == len(blocks)
 
 
@@ -199,12 +200,8 @@ def test_without_an_answer_no_claim_is_checked():
 
 
 def test_a_covariance_in_another_order_than_the_masses_is_caught():
-    def reversed_(answer: Estimate, _: ObjectShape) -> Estimate:
-        assert answer.covariance is not None
-        return replace(answer, covariance=answer.covariance[::-1, ::-1])
-
     with pytest.raises(AssertionError, match="covariance"):
-        rules.does_not_care_for_the_order_of_groups(changed(reversed_))
+        rules.does_not_care_for_the_order_of_groups(doubted(lambda answer, _: answer.covariance[::-1, ::-1]))
 
 
 @pytest.mark.parametrize("flawed", ["wrench_on_object_world", "tcp_velocity"])
@@ -249,7 +246,7 @@ def kit(tmp_path, *arguments: str, tests: tuple[str, ...] = OWN) -> subprocess.C
     ("path", "options"),
     [
         ("estimators:HiddenStates", ("--estimator-support", "own_weight", "--estimator-thorough")),
-        ("estimators:SupportAware", ("--estimator-support", "both")),
+        ("estimators:SupportAware", ("--estimator-support", "both", "-k", "not rule")),  # rules: `test_methods`
     ],
 )
 def test_the_whole_kit_passes(tmp_path, path, options):
@@ -258,7 +255,7 @@ def test_the_whole_kit_passes(tmp_path, path, options):
 
 
 @pytest.mark.slow
-def test_the_kit_says_what_is_wrong(tmp_path):
+def test_the_kit_reports_each_breach(tmp_path):
     (tmp_path / "lazy.py").write_text(
         "class Lazy:\n    def estimate(self, shape, weight, trajectories, seed):\n        return None\n",
         encoding="utf-8",
@@ -267,13 +264,10 @@ def test_the_kit_says_what_is_wrong(tmp_path):
     assert done.returncode == 1
     failures = done.stdout.split("short test summary")[0]  # which repeats messages where CI is set
     assert failures.count("estimate(): got None; allowed: an Estimate of estimators.base") == 2
-    done = kit(tmp_path, "--estimator", "lazy:Lasy")
-    assert done.returncode == 4 and "(nearest: Lazy)" in done.stderr
-    assert "which estimator? --estimator package:Class" in kit(tmp_path, "-k", "shapes_groups").stdout
 
 
 @pytest.mark.slow
-def test_the_fixtures_serve_tests_of_ones_own(tmp_path):
+def test_fixtures_serve_other_tests_and_rules_ask_for_an_estimator(tmp_path):
     (tmp_path / "test_mine.py").write_text(
         "import pytest\n"
         '@pytest.mark.parametrize("known_block", ["L2-rigid"], indirect=True)\n'
@@ -282,8 +276,23 @@ def test_the_fixtures_serve_tests_of_ones_own(tmp_path):
         '    assert (known_block.name, sensing, len(recorded_trials)) == ("L2-rigid", "high", 7)\n',
         encoding="utf-8",
     )
-    done = kit(tmp_path, tests=("test_mine.py",))
-    assert "1 passed" in done.stdout, done.stdout
+    done = kit(tmp_path, "-k", "mine or shapes_groups", tests=("test_mine.py", *OWN))
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR and "1 passed" in done.stdout, done.stdout
+    assert "which estimator? --estimator package:Class" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("estimators:HiddenState", "", r"\(nearest: HiddenStates\)"),
+        ("estimators:HiddenStates", "steps", r"^--estimator-settings: got 'steps'; allowed: settings as TOML"),
+        ("estimators:HiddenStates", "steps = 0", r"^--estimator-settings.*steps: got 0"),
+    ],
+)
+def test_a_wrong_option_of_the_kit_is_refused(name, settings, message):
+    options = {"--estimator": name, "--estimator-settings": settings}
+    with pytest.raises(pytest.UsageError, match=message):
+        plugin.pytest_configure(cast(pytest.Config, SimpleNamespace(getoption=options.get)))
 
 
 REAL = HiddenStates()

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from estimators import METHODS, Bayes, DiffLcp, ExplicitState, HiddenStates, Learned, MujocoSysid, SupportAware
 from estimators.base import Estimate, Estimator
 from estimators.baselines.base import GradientBaseline
+from estimators.baselines.lcp import LcpEngine
 from estimators.baselines.optimizers import CmaEs, LeastSquares, NelderMead
 from estimators.baselines.sampling import RandomSearch, WeightedSampling
 from estimators.hidden_states.published import PublishedHiddenStates
@@ -101,7 +102,7 @@ def test_every_method_of_the_registry_is_held_to_the_protocol():
     assert set(METHODS.values()) == held | {MujocoSysid, Learned}  # slow: their own tests hold them
 
 
-WRONG: tuple[tuple[type[Estimator], dict[str, object], str], ...] = (
+WRONG: tuple[tuple[type, dict[str, object], str], ...] = (
     *((kind, {"iterations": 0}, "an integer >= 1") for kind in map(type, BASELINES.values())),
     *((RandomSearch, {"iterations": bad}, "an integer >= 1") for bad in (-3, 2.5, True)),
     *((RandomSearch, {"use_weight": bad}, "true or false") for bad in (1, "yes")),
@@ -124,6 +125,8 @@ WRONG: tuple[tuple[type[Estimator], dict[str, object], str], ...] = (
     (DiffLcp, {"samples": 0}, "an integer >= 1"),
     (DiffLcp, {"directions": 7}, "even integer >= 4"),
     (DiffLcp, {"substeps": 0}, "an integer >= 1"),
+    *((LcpEngine, {"directions": bad}, "even integer >= 4") for bad in (2, 7, 8.0, True)),
+    *((LcpEngine, {"substeps": bad}, "an integer >= 1") for bad in (0, 1.5, True)),
     *((HiddenStates, {"optimizers": bad}, "adam, rmsprop, plain") for bad in ((), ("newton",))),
     *((kind, {"solver": "exact"}, "closed_form") for kind in (HiddenStates, PublishedHiddenStates)),
     *((kind, {"steps": 0}, "an integer >= 1") for kind in (HiddenStates, PublishedHiddenStates)),

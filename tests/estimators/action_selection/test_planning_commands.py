@@ -43,7 +43,7 @@ COMMANDS = {
     "too small a budget": (
         "L2 --budget 20s --until 1% --candidates 300",
         ("1 action(s)", "the target of 1 % is not reached", "open:"),
-        "plan/actions/scene/1/way",
+        None,
     ),
     "pushes of an object without a grasp": (
         "slab.toml --until 5% --most 2 --candidates 8",
@@ -55,14 +55,15 @@ COMMANDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "parts", "drawn"), COMMANDS.values(), ids=COMMANDS)
-def test_a_plan_is_told_and_drawn(words, parts, drawn, tmp_path, monkeypatch, capsys):
+def test_a_plan_is_printed_and_drawn(words, parts, drawn, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("slab.toml").write_text(SLAB.format(", ".join(["0.1"] * 9)))
-    main(["plan", *words.split(), "--figure", "plan", "--record", "plan.rrd"])
+    files = () if drawn is None else ("plan.pdf", "plan.png", "plan.rrd")
+    main(["plan", *words.split(), *(("--figure", "plan", "--record", "plan.rrd") if files else ())])
     said = " ".join(capsys.readouterr().out.split())
     assert [part for part in parts if part not in said] == []
-    assert {path.name for path in tmp_path.iterdir()} == {"plan.pdf", "plan.png", "plan.rrd", "slab.toml"}
-    assert drawn in read_chunks(tmp_path / "plan.rrd")
+    assert {path.name for path in tmp_path.iterdir()} == {"slab.toml", *files}
+    assert drawn is None or drawn in read_chunks(tmp_path / "plan.rrd")
 
 
 @pytest.mark.parametrize(
@@ -78,12 +79,13 @@ def test_a_plan_is_told_and_drawn(words, parts, drawn, tmp_path, monkeypatch, ca
             "plan L2 --policy reversed_pairs --pushes",
             "--policy: got 'reversed_pairs'; allowed: greedy, batch or random with --lifts or --pushes: it only turns",
         ),
+        ("identify L2 --sensing nose", "one of ideal, ft300s"),
         ("touch L2 --most 0", "--most: got 0; allowed: an integer >= 1"),
         ("identify L2 --pivots -1", "--pivots: got -1; allowed: an integer >= 0"),
         ("payload nothing_here drill", "DIR|FILE.toml: got 'nothing_here'; allowed: a folder with lifts, or a file"),
     ],
 )
-def test_what_an_option_does_not_allow_is_refused_by_its_name(words, refused, capsys):
+def test_a_wrong_option_is_refused_by_its_name(words, refused, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(words.split())
     assert refused in capsys.readouterr().err
@@ -98,7 +100,7 @@ def test_planning_takes_less_than_the_papers_choice_for_the_same():
     assert greedy.after.expected_nad <= nad * 1.001 and greedy.seconds < paper.seconds / 2
 
 
-def test_the_bench_says_why_it_cannot():
+def test_an_infeasible_action_has_a_reason():
     assert FeasibilityCheck(L2.shape, GUESS)(Rotate(0, duration=4.0, back=True)) == ""
     assert "reach" in FeasibilityCheck(L2.shape, GUESS)(Rotate(0, pivot=(0.6, 0.0), duration=18.0))
     assert "grip" in FeasibilityCheck(L2.shape, replace(GUESS, weight=80.0))(Rotate(0, duration=4.0))
@@ -116,7 +118,7 @@ def test_amounts_are_read_as_typed():
 @pytest.mark.slow
 def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
     out = tmp_path / "run"
-    touch = ["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "600", "--out", str(out)]
+    touch = ["touch", "docs/objects/T.toml", "--until", "5%", "--candidates", "150", "--out", str(out)]
     main(touch)
     said = capsys.readouterr().out
     assert "stopped: the target is met" in said
@@ -124,7 +126,7 @@ def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
     assert row["nad"] < 0.1 and row["object"] == "T" and len(row["trial_keys"]) >= 3
     assert len(list((out / "trials").glob("*/trial.json"))) == len(row["trial_keys"])
     assert (out / "recording.rrd").stat().st_size > 1000
-    command = f"heft touch docs/objects/T.toml --candidates 600 --out {out}"  # 5% is the default
+    command = f"heft touch docs/objects/T.toml --candidates 150 --out {out}"  # 5% is the default
     assert command in (out / "report.html").read_text(encoding="utf-8")
     assert f"report: {out / 'report.html'}; results in {out}/" in said
     main(touch)
@@ -132,8 +134,8 @@ def test_an_active_run_stops_by_itself_and_is_right(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_under_a_rigid_body_it_finds_out_and_says_what_stays_unknown(tmp_path, capsys):
-    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "600", "--out", str(tmp_path / "run")])
+def test_touch_detects_a_rigid_body_and_prints_open_masses(tmp_path, capsys):
+    main(["touch", "L2", "--support", "rigid", "--until", "2%", "--candidates", "150", "--out", str(tmp_path / "run")])
     said = " ".join(capsys.readouterr().out.split())
     assert "stopped: no action teaches more" in said
     assert "the target of 2 % is not reached" in said and "assumption_violated" in said
@@ -162,7 +164,7 @@ def weighed_policy(policy: Policy) -> ActionPolicy:
     return waits.policy
 
 
-def test_a_scenario_may_choose_its_touches_by_a_plan():
+def test_a_scenario_builds_its_policy():
     ours, published, default = (
         policy.build((0, 1), L2.shape, SimulationSettings())
         for policy in (Policy(kind="reversed_pairs"), Policy(kind="published"), Policy())
@@ -180,20 +182,20 @@ def test_a_scenario_may_choose_its_touches_by_a_plan():
 
 
 @pytest.mark.slow
-def test_a_policy_is_told_who_may_carry_the_weight():
-    def told(kind: str, thought: str | None) -> PlannedPolicy | OnlinePolicy:
-        made = Policy.model_validate({"kind": kind, "assumed_support": thought, "candidates": 300, "touches": 4})
+def test_a_policy_plans_for_the_assumed_support():
+    def built(kind: str, support: str | None) -> PlannedPolicy | OnlinePolicy:
+        made = Policy.model_validate({"kind": kind, "assumed_support": support, "candidates": 300, "touches": 4})
         policy = weighed_policy(made)
         assert isinstance(policy, PlannedPolicy | OnlinePolicy)
         return policy
 
-    plan = {thought: told("greedy", thought) for thought in (None, "own_weight", "rigid", "either")}
+    plan = {support: built("greedy", support) for support in (None, "own_weight", "rigid", "either")}
     assert [p.guess.supports for p in plan.values()] == [("own_weight",), ("own_weight",), ("rigid",), SUPPORTS]
-    assert told("online", None).guess.supports == SUPPORTS
+    assert built("online", None).guess.supports == SUPPORTS
     # where one body may carry it all, nothing but an accelerated turn shows its second moment
     accelerated = {
-        thought: any(isinstance(action, Accelerate) for action in p.plan(L2.shape).actions)
-        for thought, p in plan.items()
+        support: any(isinstance(action, Accelerate) for action in p.plan(L2.shape).actions)
+        for support, p in plan.items()
         if isinstance(p, PlannedPolicy)
     }
     assert accelerated == {None: False, "own_weight": False, "rigid": True, "either": True}
@@ -226,11 +228,3 @@ def test_a_plan_is_recorded_step_by_step(tmp_path):
     assert {f"plan/actions/scene/{n}/way" for n in (1, 2, 3)} <= set(entities)
     colors = entities["plan/error/map/cells"].times["iteration"]
     assert all(times.tolist() == [0, 1, 2, 3] for times in colors.values())
-
-
-@pytest.mark.slow
-def test_without_a_figure_or_a_recording_a_plan_is_only_printed(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    main(["plan", "L2", "--budget", "20s", "--until", "1%", "--candidates", "300"])
-    assert "1 action(s)" in " ".join(capsys.readouterr().out.split())
-    assert not list(tmp_path.iterdir())

@@ -24,8 +24,6 @@ QUICK = {RandomSearch: 200, WeightedSampling: 200, ExplicitState: 40, DiffLcp: 1
 """Budgets for tests that need no good answer."""
 EACH = [pytest.param(kind, marks=[pytest.mark.slow] * (kind in (WeightedSampling, DiffLcp))) for kind in METHODS]
 """A search and a descent quickly, their twins in CI."""
-
-
 TWO = blocks(["11"], [0.3, 0.1], 0.4, grid=2)
 THREE = blocks(["10", "11"], [0.3, 0.1, 0.2], 0.4, grid=2)
 
@@ -191,16 +189,6 @@ def test_where_not_even_two_levels_fit_the_masses_of_the_grid_are_alike():
     points = _grid(9, 1, 500, 0.25)
     assert len(points) == 11**2 and (points[:, 1:] == points[:, 1:2]).all()
     assert len(_grid(9, 1, 512, 0.25)) == 512
-
-
-@pytest.mark.slow
-def test_on_a_block_object_the_budget_of_the_paper_holds_a_grid():
-    obj = load_object("L2")
-    one, other = (ask(obj, WeightedSampling(), seed=seed).traces[0] for seed in (0, 1))
-    assert one.loss[:128] == other.loss[:128] != one.loss[:1] * 128
-    assert one.loss[128:] != other.loss[128:]
-    best = one.mass[127]
-    assert len(np.unique(best.round(12))) > 1, "the best of the grid tells light blocks from heavy ones"
 
 
 def test_weighted_sampling_begins_on_a_grid_and_ends_near_its_best():

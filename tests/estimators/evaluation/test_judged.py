@@ -45,8 +45,6 @@ QUICK = ("hidden_states", "bayes", "least_squares", "random_search")
 ASKED = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METHODS_HELD]
 SEARCHES = ("random_search", "weighted_sampling", "diff_lcp")
 """Methods whose search ends far from the best masses with these settings."""
-
-
 SENSING = "ft300s"
 
 
@@ -79,8 +77,6 @@ def test_ok_is_an_answer_that_explains_the_trials_and_no_other(method):
 
 
 WRONG_SHAPE = replace(SHAPE, particles=0.8 * SHAPE.particles, cell=0.8 * SHAPE.cell)
-
-
 WRONG = {
     "rigid": {"block": RIGID},
     "heavier": {"block": OWN, "weight": 1.2},
@@ -212,8 +208,6 @@ def test_the_least_misfit_of_the_same_trials_is_found_once(monkeypatch):
 
 
 OBJECT, BESIDE = drawn_object(0), (0.01, 0.015)
-
-
 WEIGHT, TRIALS = OWN.weighed(SENSING), trials_of(OWN)
 
 

@@ -1,6 +1,6 @@
 """Estimators of mass distributions from trajectories, policies that choose actions, and metrics.
 
-The names below load their module on first use: `import estimators` by itself costs nothing.
+The names below load their module on first use, so that `import estimators` is fast.
 """
 
 from typing import TYPE_CHECKING

@@ -77,7 +77,7 @@ class Trace:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate:
-    """Mass and friction with their uncertainty, or the status that says why there is none."""
+    """Mass and friction with their uncertainty, or a status that is the reason for none."""
 
     distribution: MassDistribution | None
     """Mass and friction; None where there is no estimate."""

@@ -49,8 +49,8 @@ def descend(
     Args:
         loss: loss of each row of a batch of points.
         start: first point.
-        rates: first step of each optimizer; it falls to zero as a square. Plain descent takes back a step that raised
-            the loss, halves it and goes on.
+        rates: first step of each optimizer; it falls to zero as a square. Plain descent undoes a step that raised
+            the loss and continues with half of it.
         steps: gradient evaluations of each optimizer.
         masses: particle masses of each point, for the trace.
         robot_seconds: robot time of the data [s], for the trace.

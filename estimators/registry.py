@@ -98,8 +98,8 @@ def check_installed(label: str, settings: Mapping[str, Any]) -> None:
 
 
 def code_of(label: str, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Code and files that decide a method's answers beside settings and version: the source hash of one that is not
-    heft's own, and the `fingerprint` of a file that it reads, where it has one."""
+    """Code and files that determine a method's answers, besides settings and version: the source hash of a method of
+    another package, and the `fingerprint` of a file that the method reads."""
     name = kind_of(label, settings)
     found = {} if name in METHODS else {"source": source_hash(class_of(name))}
     if name in METHODS and hasattr(METHODS[name], "fingerprint"):

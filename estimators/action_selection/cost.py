@@ -23,9 +23,9 @@ class RobotTime:
     """
 
     around: float = 4.79
-    """Time of a simulated record beside the action itself [s]; a test compares it with records."""
+    """Time of a simulated record without the action itself [s]; a test compares it with records."""
     around_push: float = 1.59
-    """Time of a push's record beside the action itself [s]: the hand stays closed."""
+    """Time of a push's record without the action itself [s]: the hand stays closed."""
     weighing: float = 1.99
     """Time of a simulated weighing [s]."""
     rise: float = 0.8

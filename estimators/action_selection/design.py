@@ -189,9 +189,9 @@ class Design:
             for count in np.unique(trials.lengths):
                 (of_length,) = np.nonzero(trials.lengths == count)
                 rows = trials.rows[of_length, :count]
-                seen = (rows.reshape(-1, rows.shape[-1]) @ before).reshape(rows.shape)
-                inner = seen @ rows.transpose(0, 2, 1) + np.eye(count)
-                taken = np.linalg.solve(np.linalg.cholesky(inner), seen[:, :, :n_m])
+                projected = (rows.reshape(-1, rows.shape[-1]) @ before).reshape(rows.shape)
+                inner = projected @ rows.transpose(0, 2, 1) + np.eye(count)
+                taken = np.linalg.solve(np.linalg.cholesky(inner), projected[:, :, :n_m])
                 after = before[:n_m, :n_m] - taken.transpose(0, 2, 1) @ taken
                 found[of_length] += CRITERIA[self.criterion](after * scale, belief.weight)
         return found / len(self.information)

@@ -49,7 +49,7 @@ class Goal:
         return np.inf if self.budget_s is None else self.budget_s - spent
 
     def ended(self, belief: Belief, trials: int) -> str:
-        """Reason to end after so many trials; empty where there is none."""
+        """Reason to end after a number of `trials`; empty without one."""
         if self.met(belief.expected_nad):
             return "the target is met"
         return f"{self.most} trials, the limit" if trials >= self.most else ""

@@ -114,10 +114,10 @@ def random_drags(shape: ObjectShape, grasps: Sequence[int], count: int, seed: in
     found: list[Slide | Rotate] = []
     for index in range(count):
         grasp = int(rng.choice(grasps))
-        way, beside = float(rng.uniform(-math.pi, math.pi)), rng.uniform(-BESIDE, BESIDE, 2)
+        way, offset = float(rng.uniform(-math.pi, math.pi)), rng.uniform(-BESIDE, BESIDE, 2)
         if index % 2 == 0:
             found.append(Slide(grasp, way))
             continue
-        x, y = shape.grasps[grasp].position + beside
+        x, y = shape.grasps[grasp].position + offset
         found.append(Rotate(grasp, math.copysign(Rotate.speed, way), 9.0, (float(x), float(y))))
     return found

@@ -24,12 +24,12 @@ from testbed.validation import check_integer
 class RankDriven:
     """Accelerated turns for I_j, then turns about random grasps until rank(Q) is full and `pivots` turns were made.
 
-    Every grasp is used once before any is used again. `RANK_DRIVEN` has the paper's settings beside ours.
+    Every grasp is used once before any is used again. `RANK_DRIVEN` has the paper's settings and ours.
     """
 
     pivots: int = 6
     """Least number of turns at constant speed. Six there and back are twelve of the paper's, which has n_s / 3 of them,
-    and one more while the rank asks for it."""
+    and another turn while the rank is not full."""
     duration: float = 18.0
     """Time of a turn each way [s]; 18 in the paper."""
     accelerated: int = 6

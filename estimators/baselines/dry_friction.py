@@ -127,7 +127,7 @@ def solved(bodies: Bodies, guess: np.ndarray | None) -> tuple[np.ndarray, np.nda
 
 
 def bounds_of(feet: Float[np.ndarray, "B F"], count: int) -> Float[np.ndarray, "B L"]:
-    """Bound of each of `count` sides of every foot, 0 where it is next to nothing."""
+    """Bound of each of `count` sides of every foot; bounds below `IDLE` of the mean are 0."""
     kept = np.where(feet <= IDLE * feet.mean(1, keepdims=True), 0.0, feet)
     return kept.repeat(count, 1)
 

@@ -123,7 +123,7 @@ class LcpEngine:
     directions: int = 8
     """Corners of the friction polygon; 4, 8, 16."""
     substeps: int = 4
-    """Engine steps per sample of the record; the wrench goes linearly from one sample to the next."""
+    """Engine steps per sample of the record; the wrench is interpolated linearly between samples."""
 
     def __post_init__(self) -> None:
         polygon_sides(self.directions)

@@ -37,7 +37,7 @@ ROUNDS = 2
 LIKELY_FRICTION = 0.5
 """Friction at which errors are counted where M, and so the friction's level, is not known."""
 FAR_OFF = 0.45
-"""Part of the largest wrench, root mean square, from which on a candidate explains nothing: a trial with its sign
+"""Part of the largest wrench, root mean square, above which a candidate explains no trial: a trial with its sign
 turned leaves more. Ours. Eq. problem cannot show this, since it divides by mass: a heavy guess hides such trials."""
 Weighting = Literal["velocity", "covariance"]
 
@@ -82,7 +82,7 @@ class Problem:
         errors: ModelErrors,
         support: SupportModel = "own_weight",
     ) -> Problem | Estimate:
-        """The problem, or the estimate that says why there is none; `errors` are those of the model on its `support`.
+        """The problem, or an estimate with the reason for none; `errors` are those of the model on its `support`.
 
         Raises:
             InvalidValueError: `use_weight` without a weight.
@@ -99,9 +99,9 @@ class Problem:
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)
-        seen = rank_of(groups.gather(steady.drag_rows(model, errors.pivot_error)).flatten(0, 1).numpy())
-        if seen < len(groups.pairs):
-            why = f"rank(Q) is {seen} and {len(groups.pairs)} friction loads are unknown: turn about more points"
+        rank = rank_of(groups.gather(steady.drag_rows(model, errors.pivot_error)).flatten(0, 1).numpy())
+        if rank < len(groups.pairs):
+            why = f"rank(Q) is {rank} and {len(groups.pairs)} friction loads are unknown: turn about more points"
             return Estimate(None, "underdetermined", why)
         loads = AffineLoads.of(shape, model, windows, LOADS[support])
         wrenches = WrenchModel.of(model, windows, loads, errors.pivot_error)
@@ -120,7 +120,7 @@ class Problem:
 
     @cached_property
     def sensed(self) -> SensedRows:
-        """Rows of the loss that is weighed by covariance: those of Algorithm 1, about the likeliest errors.
+        """Rows of the loss weighted by covariance: those of Algorithm 1, about the most likely errors.
 
         On own weight they are about the masses that its friction loads give with one friction for all. A search
         predicts no torques about hinges.

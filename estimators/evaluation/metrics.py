@@ -267,6 +267,6 @@ def hinge_columns(friction: Sequence[float], diagnostics: Mapping[str, float]) -
         return {"hinge_Nm": None, "hinge_error_Nm": None, "hinge_error": math.nan}
     hinges = range(len(friction))
     found, std = ([diagnostics.get(f"hinge_{h}_{unit}", math.nan) for h in hinges] for unit in ("Nm", "std_Nm"))
-    true, seen = np.array(friction), ~np.isnan(found)
-    off = float(np.abs(np.array(found) - true)[seen].mean() / true[seen].mean()) if true[seen].any() else math.nan
+    true, known = np.array(friction), ~np.isnan(found)
+    off = float(np.abs(np.array(found) - true)[known].mean() / true[known].mean()) if true[known].any() else math.nan
     return {"hinge_Nm": found, "hinge_error_Nm": std, "hinge_error": off}

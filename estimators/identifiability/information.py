@@ -287,6 +287,6 @@ class _Trials:
             root = torch.linalg.cholesky(covariance + drawn @ drawn.mT)
             white = torch.linalg.solve_triangular(root, slopes[..., ~anew], upper=False)
             values, ways = torch.linalg.eigh(white @ white.mT)
-            seen = int((values > FAINT).any(0).sum())
-            each.append((trial[rows[:, 0]], (ways[..., -seen:].mT @ white).numpy() if seen else white[:, :0].numpy()))
+            rank = int((values > FAINT).any(0).sum())
+            each.append((trial[rows[:, 0]], (ways[..., -rank:].mT @ white).numpy() if rank else white[:, :0].numpy()))
         return each

@@ -164,8 +164,8 @@ def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L
             poses = np.zeros((len(link), 3))
             poses[:, 2] = link[:, 0]
             stream = _stream(time, poses, camera)
-            seen = stream.motion(time[[middle]], 0, (time[0] - SPAN / 4, time[-1] + SPAN / 4))
-            errors.append(turned_errors(seen.covariance[0], seen.late[0], shared))
+            camera_motion = stream.motion(time[[middle]], 0, (time[0] - SPAN / 4, time[-1] + SPAN / 4))
+            errors.append(turned_errors(camera_motion.covariance[0], camera_motion.late[0], shared))
         if np.isnan(errors).any():
             continue
         twist = whole.twists[0]
@@ -324,7 +324,8 @@ def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
     (at, angle), about, heading, time = action.hand(shape), action.center(shape), action.heading, BEFORE
     steps = [speed * seconds + acceleration * seconds**2 / 2 for speed, acceleration, seconds in action.steady]
     ends = np.cumsum([0.0, *steps])
-    gone, facing = -(ends.max() + ends.min()) / 2, -angle  # midway the pads close along x
+    start, middle_yaw = -(ends.max() + ends.min()) / 2, -angle  # midway the pads close along x
+    progress = start
     found = []
     for segment, (speed, acceleration, seconds) in enumerate(action.steady):
         if segment and not action.accelerated:
@@ -336,12 +337,12 @@ def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
         twist = np.array([x, y, rate if action.turns else 0.0])
         begin, end = trim_start(action, segment), seconds - TRIM_END
         since = begin + (end - begin) * (np.arange(PARTS) + 0.5) / PARTS
-        way = gone + speed * since + acceleration * since**2 / 2
-        yaw = facing + (way if action.turns else 0 * way)
+        along = progress + speed * since + acceleration * since**2 / 2
+        yaw = middle_yaw + (along if action.turns else 0 * along)
         if action.turns:
-            place = rotation_2d(facing) @ (about - at) - rotation_2d(yaw) @ (about - at)
+            place = rotation_2d(middle_yaw) @ (about - at) - rotation_2d(yaw) @ (about - at)
         else:
-            place = way[:, None] * (rotation_2d(facing) @ heading)
+            place = along[:, None] * (rotation_2d(middle_yaw) @ heading)
         found.append(
             Planned(
                 trial,
@@ -353,9 +354,9 @@ def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
                 np.array([0.0, 0.0, acceleration]),
                 twist[2] ** 2,
                 np.column_stack([place, yaw]),
-                facing + (-(ends.max() + ends.min()) / 2 if action.turns else 0.0),
+                middle_yaw + (start if action.turns else 0.0),
             )
         )
         time += seconds
-        gone += steps[segment]
+        progress += steps[segment]
     return found

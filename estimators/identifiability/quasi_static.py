@@ -19,7 +19,7 @@ _MOST_STEPS = 100
 
 
 class PushedMotion(NamedTuple):
-    """Motion of an object that lies at the origin as the fingertip meets it, at N times; world axes."""
+    """Motion of an object from the origin, at N times after the first contact of the fingertip; world axes."""
 
     time_s: Float[np.ndarray, "N"]
     """Time since the fingertip met it [s]."""

@@ -89,20 +89,20 @@ def identifiability(
     per_unit = np.concatenate([whole / count, np.maximum(distribution.friction, 1e-6)])
     _, values, directions = np.linalg.svd(root * per_unit, full_matrices=len(root) < len(per_unit))
     values = np.append(values, np.zeros(len(directions) - len(values)))
-    seen = values > 1.0
+    observed = values > 1.0
     unit = np.concatenate([np.full(n_m, whole), per_unit[n_m:]])
     scaled = directions * unit
-    covariance = (scaled[seen].T / values[seen] ** 2) @ scaled[seen]
-    blind = (np.abs(directions[~seen]) > PART).any(axis=0)
+    covariance = (scaled[observed].T / values[observed] ** 2) @ scaled[observed]
+    blind = (np.abs(directions[~observed]) > PART).any(axis=0)
     covariance[np.ix_(blind, blind)] = np.inf
-    basis = _sparse(directions[~seen])
+    basis = _sparse(directions[~observed])
     return Identifiability(
         shape.group_names,
         covariance[:n_m, :n_m],
         np.sqrt(np.diagonal(covariance)[n_m:]),
-        int(seen.sum()),
+        int(observed.sum()),
         len(unit),
-        float(values[seen].max() / values[seen].min()) if seen.any() else np.inf,
+        float(values[observed].max() / values[observed].min()) if observed.any() else np.inf,
         basis * unit,
         _in_words(basis, [*shape.group_names, *shape.friction_names]),
     )

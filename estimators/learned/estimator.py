@@ -153,11 +153,11 @@ def _draws(
     """Draws of the groups' masses, kg, and of the friction; `error` is that of the weight, kg."""
     rng, groups = np.random.default_rng(seed), len(question.center)
     angle, mirrored = fixed_axes(AXES)
-    asked = Examples.of([question] * AXES)
+    inputs = Examples.of([question] * AXES)
     noise = torch.tensor(rng.standard_normal((-(-count // AXES), AXES, groups)))
     with torch.no_grad():
-        drawn = network.draw(asked.turned(angle, mirrored), noise)
-    load = torch.empty_like(drawn).scatter_(2, asked.order(angle).expand_as(drawn), drawn).reshape(-1, groups)
+        drawn = network.draw(inputs.turned(angle, mirrored), noise)
+    load = torch.empty_like(drawn).scatter_(2, inputs.order(angle).expand_as(drawn), drawn).reshape(-1, groups)
     whole = np.maximum(weight + error * rng.standard_normal(len(load)), weight / 2)
     friction = load.exp().sum(1).numpy() * weight / whole
     return torch.softmax(load, 1).numpy() * whole[:, None], friction

@@ -23,7 +23,7 @@ BATCH = 64
 RATE, DECAY = 2e-3, 1e-2
 """Largest step of AdamW, and its weight decay."""
 HELD_OUT = 10
-"""One object in as many is held out."""
+"""Number of objects of which one is held out."""
 
 
 def train(

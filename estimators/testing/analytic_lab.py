@@ -1,7 +1,8 @@
 """Analytic lab: trials of objects under Coulomb friction with every error of a setup drawn, in plain numpy.
 
-An object stands on its own weight on contact points of its own, or is one rigid body; grasp, TCP, table and sensor are
-off by draws of the stated errors. Records have the values that a robot would report, which does not know the errors.
+Each group of an object rests on contact points of its own, or the object is one rigid body; grasp, TCP, table and
+sensor are off by draws of the stated errors. Records have the values that a robot would report, which does not know the
+errors.
 """
 
 from __future__ import annotations

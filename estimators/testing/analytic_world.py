@@ -148,8 +148,8 @@ def analytic_trial(
 def turns(obj: ObjectModel, grasps: list[int] | None = None, **world: object) -> list[Trajectory]:
     """Records of a turn there and back about every grasp, beside its center."""
     chosen = range(len(obj.shape.grasps)) if grasps is None else grasps
-    beside = obj.shape.cell / 2
-    pivots = [tuple(obj.shape.grasps[g].position + beside) for g in chosen]
+    offset = obj.shape.cell / 2
+    pivots = [tuple(obj.shape.grasps[g].position + offset) for g in chosen]
     actions = [Rotate(g, duration=2.5, pivot=p, back=True) for g, p in zip(chosen, pivots, strict=True)]
     return [analytic_trial(obj, a, seed=i, **world) for i, a in enumerate(actions)]  # pyright: ignore[reportArgumentType]
 

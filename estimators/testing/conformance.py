@@ -30,7 +30,7 @@ Draw = Callable[[int], ObjectModel]
 ALLOWED = {"ideal": 0.08, "low": 0.1, "moderate": 0.1, "ft300s": 0.1, "high": 0.2}
 """NAD that an answer of status ok may have under each preset, as a ratio."""
 MOST_OFF, LEAST_OFF = 2.0, 0.2
-"""Root mean square error of masses over the claimed ones of answers with status ok: at most, and at least. Ours."""
+"""Largest and least root mean square of errors over claimed errors, of answers with status ok. Ours."""
 FEWEST = 3
 """Number of blocks from which errors may count as too large: those of one block are much alike. Ours."""
 ANSWERED = ("ok", "unexplained")
@@ -39,9 +39,9 @@ ANSWERED = ("ok", "unexplained")
 
 @lru_cache(maxsize=8)
 def small_object(seed: int) -> ObjectModel:
-    """Three blocks of 2 x 2 particles, for methods that take long.
+    """Three blocks of 2 x 2 particles, for slow methods.
 
-    Light, so that methods that know how dense things can be do not meet that bound.
+    The blocks are light, so that a method's bound on the density has no effect.
     """
     rng = np.random.default_rng(seed)
     return block_object(
@@ -92,7 +92,7 @@ _CLEAN: list[tuple[Estimator, Draw, ObjectModel, Estimate]] = []
 
 
 def clean_answer(estimator: Estimator, draw: Draw) -> tuple[ObjectModel, Estimate]:
-    """First object, and the answer to enough clean trials of it, which the rules that only look at it share."""
+    """First object, and the answer to enough clean trials of it; rules that only read the answer share it."""
     if not (_CLEAN and _CLEAN[0][0] is estimator and _CLEAN[0][1] is draw):
         obj = draw(0)
         _CLEAN[:] = [(estimator, draw, obj, answer_of(estimator, obj.shape, obj.total_mass, data(obj)))]
@@ -129,7 +129,7 @@ def _same(name: str, first: np.ndarray, second: np.ndarray) -> None:
 
 
 def leaves_what_it_is_given(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """The shape, the list of trials and their arrays are afterwards as they were: other methods are given the same."""
+    """The shape, the list of trials and their arrays are unchanged afterwards: other methods get the same."""
     obj = draw(0)
     given = data(obj)
     kept: dict[str, ObjectShape | Trajectory] = {"shape": obj.shape}
@@ -174,7 +174,7 @@ def does_not_care_for_the_order_of_particles(estimator: Estimator, draw: Draw = 
 
 
 def does_not_care_for_the_order_of_groups(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """For methods that draw no masses: to others a group is its place in the draw."""
+    """Groups in another order are the same object, for methods that draw no masses: a draw depends on the order."""
     _order_does_not_count(estimator, draw, lambda groups: np.roll(groups, 1)[::-1])
 
 
@@ -201,7 +201,7 @@ def _order_does_not_count(estimator: Estimator, draw: Draw, mix: Callable[[np.nd
 
 
 def takes_extra_trajectories(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """Trials given twice, and one that did not end well, are no obstacle."""
+    """Duplicate trials and a failed trial do not prevent an answer."""
     obj = draw(2)
     failed = replace(data(obj)[0], status="slipped", reason="it slipped")
     answer = answer_of(estimator, obj.shape, obj.total_mass, [*data(obj), failed, *data(obj)[::-1]])
@@ -268,24 +268,24 @@ def answers_many_draws_as_one_by_one(estimator: Estimator, draw: Draw = drawn_ob
 
 
 def refuses_trials_of_another_shape(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """A trial of a grasp that the shape has not is refused by name."""
+    """A trial of a grasp that the shape does not have is refused by name."""
     obj = draw(0)
     good = data(obj)
     beyond = replace(good[0], action=Rotate(len(obj.shape.grasps), duration=2.5))
     try:
         estimator.estimate(obj.shape, obj.total_mass, [*good, beyond], 0)
     except InvalidValueError as error:
-        said = str(error)
+        given = str(error)
     else:
-        said = "nothing was raised"
+        given = "nothing was raised"
     wanted = r"trajectories\[\d+\]\.action\.grasp: .*grasps"
-    assert re.search(wanted, said), (
-        f"wanted: an InvalidValueError of trajectories[i].action.grasp, as observe() raises; got: {said}"
+    assert re.search(wanted, given), (
+        f"wanted: an InvalidValueError of trajectories[i].action.grasp, as observe() raises; got: {given}"
     )
 
 
 def does_not_hide_that_trajectories_contradict_each_other(estimator: Estimator, draw: Draw = drawn_object) -> None:
-    """A status other than ok, or a misfit over its limit, from which heft gives the status itself."""
+    """Contradictory trials get a status other than ok, or a misfit above its limit, by which heft sets the status."""
     obj = draw(0)
     for trials in ([*data(obj), *opposed(obj)], [*data(obj), *of_another(obj)]):
         answer = answer_of(estimator, obj.shape, obj.total_mass, trials)
@@ -336,7 +336,7 @@ def recovers(
     """Check that masses and frictions of status ok are right, and that any other status has a message.
 
     A method that claims own weight alone must give right masses where a perfect sensor's trials show every mass, with
-    any status. One that claims more is not given the support, and a block may not show it.
+    any status. A method that claims more does not get the support, and the trials may not show it.
 
     Args:
         estimator: estimator under test.
@@ -371,7 +371,7 @@ def claims_errors_of_their_size(
 ) -> int:
     """Errors of masses, over known blocks, are between a fifth of those that covariances claim and twice them.
 
-    Of answers with status ok and a covariance; without any there is nothing to check, and few may be right by chance.
+    Only answers with status ok and a covariance count; without any there is no check, and few may be right by chance.
 
     Args:
         estimator: estimator under test.
@@ -427,7 +427,7 @@ def _verdict(where: str, answer: Estimate, block: KnownBlock, nad: float, limit:
 
 
 def _listed(found: MassDistribution, block: KnownBlock) -> str:
-    """Masses and frictions, each beside the truth."""
+    """Masses and frictions with the true values."""
     shape, truth = block.model.shape, block.model.truth
     masses = ", ".join(
         f"{name} {mine:.3f} ({true:.3f})"

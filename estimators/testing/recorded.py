@@ -88,7 +88,7 @@ def load_block(name: str) -> KnownBlock:
     header: dict[str, Any] = json.loads((table.schema.metadata or {})[b"heft"])
     columns = {key: table.column(key).to_numpy() for key in table.column_names}
     trials = []
-    for index, said in enumerate(header["trials"]):
+    for index, entry in enumerate(header["trials"]):
         here = columns["trial"] == index
         series: dict[str, Any] = {
             key: np.stack([columns[f"{key}.{i}"][here] * quantum for i, quantum in enumerate(quanta)], axis=1)
@@ -96,7 +96,7 @@ def load_block(name: str) -> KnownBlock:
         }
         count = int(here.sum())
         bare = Trajectory(
-            action=action_from_dict(said["action"]),
+            action=action_from_dict(entry["action"]),
             status="ok",
             reason="",
             time_s=np.arange(count) / RATE,
@@ -105,7 +105,7 @@ def load_block(name: str) -> KnownBlock:
             **series,
             wrench_on_object_world=np.zeros((count, 6)),
             joint_position=np.zeros((count, 7)),
-            tool=Tool(**said["tool"]),
+            tool=Tool(**entry["tool"]),
             sensor_bias_std=np.zeros(6),
             provenance=header["provenance"],
         )
@@ -119,7 +119,7 @@ def save_block(
 ) -> Path:
     """Write a known block from clean records of turns at `RATE`, status ok; returns its path."""
     whole: dict[str, list[np.ndarray]] = {"trial": [], "phase": [], "segment": []}
-    said = []
+    entries = []
     for index, trial in enumerate(trials):
         assert trial.ok and trial.tool is not None and np.allclose(np.diff(trial.time_s), 1 / RATE)
         whole["trial"].append(np.full(len(trial.time_s), index))
@@ -129,9 +129,9 @@ def save_block(
             for i, quantum in enumerate(quanta):
                 whole.setdefault(f"{key}.{i}", []).append(np.round(getattr(trial, key)[:, i] / quantum))
         tool = {key: np.asarray(value).tolist() for key, value in vars(trial.tool).items()}
-        said.append({"action": trial.action.to_dict(), "tool": tool})
+        entries.append({"action": trial.action.to_dict(), "tool": tool})
     table = pa.table({key: np.concatenate(parts).astype(np.int32) for key, parts in whole.items()})
-    header = {"object": file.model_dump(exclude_none=True), "support": support, "trials": said}
+    header = {"object": file.model_dump(exclude_none=True), "support": support, "trials": entries}
     table = table.replace_schema_metadata({b"heft": json.dumps(header | {"provenance": provenance}).encode()})
     path = folder / f"{file.name}-{support}.parquet"
     encoding = dict.fromkeys(table.column_names, "DELTA_BINARY_PACKED")

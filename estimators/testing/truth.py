@@ -111,14 +111,14 @@ def _integers(value: Any) -> set[int]:
     return {abs(int(value))} if isinstance(value, int | np.integer) else set()
 
 
-def _redrawn(index: int, seen: Trajectory, clean: Trajectory, integers: Sequence[int]) -> Iterator[str]:
+def _redrawn(index: int, measured: Trajectory, clean: Trajectory, integers: Sequence[int]) -> Iterator[str]:
     """Integers that, as the seed of a sensor's draw, give the clean wrench after subtraction of the draw."""
-    silent = replace(seen, sensor_wrench=np.zeros_like(seen.sensor_wrench), provenance={"runner": "simulation"})
+    silent = replace(measured, sensor_wrench=np.zeros_like(measured.sensor_wrench), provenance={"runner": "simulation"})
     for integer in integers:
         for name, sensor in PRESETS.items():
             if name == "ideal":
                 continue
             errors = draw_sensing(silent, sensor, integer).sensor_wrench
-            off = float(np.abs(seen.sensor_wrench - errors - clean.sensor_wrench).max())
+            off = float(np.abs(measured.sensor_wrench - errors - clean.sensor_wrench).max())
             if off < TOLERANCE:
                 yield f"trajectories[{index}]: seed {integer} of {name} gives the clean wrench back to {off:.0e}"

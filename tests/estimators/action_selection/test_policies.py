@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache, partial
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,17 +52,19 @@ def test_the_policy_takes_every_grasp_before_any_again_and_only_those_allowed():
 
 WEIGHED = Guess(1.0, preset("ft300s").stated)
 POLICIES = (RankDriven(), RandomDrags(), StopAndGo(), PlannedPolicy(WEIGHED), OnlinePolicy(WEIGHED))
+WRONG_COUNTS: tuple[Any, ...] = ("3", 2.5, -1)
+WRONG_NUMBERS: tuple[Any, ...] = (1.5, "a", 0)
 REFUSED = [
     *(
         (lambda policy=policy, grasp=grasp: replace(policy, grasps=(grasp,)).next(L2, []), rf"grasps: got {grasp!r}")
         for policy in POLICIES
         for grasp in (-1, 99, "1")
     ),
-    *((partial(RankDriven, pivots=wrong), r"pivots.*allowed: an integer >= ") for wrong in ("3", 2.5, -1)),
+    *((partial(RankDriven, pivots=wrong), r"pivots.*allowed: an integer >= ") for wrong in WRONG_COUNTS),
     (partial(RankDriven, most=0), r"most.*allowed: an integer >= "),
     *(
         (partial(ActionFamily().sample, L2, [0], wrong, 0), r"^count.*allowed: an integer >= ")
-        for wrong in (1.5, "a", 0)
+        for wrong in WRONG_NUMBERS
     ),
 ]
 

@@ -76,13 +76,14 @@ def test_a_group_counts_for_each_of_its_particles():
     assert normalized_absolute_difference(shape, found, truth) == pytest.approx(4 / 7)
 
 
+SUPPORTS = "allowed: one of own_weight, rigid"
 OF_OBJECT = OBJECT.shape, OBJECT.truth, []
 SHORT = masses(np.ones(OBJECT.shape.n_m - 1))
 REFUSED = [
     (lambda: nad(SHORT, OBJECT.truth), r"^estimate\.mass: "),
     (lambda: nad(OBJECT.truth, SHORT), r"^truth\.mass: "),
-    (partial(mean_particle_distance, *OF_OBJECT, "own weight"), "support: got 'own weight'; allowed: "),
-    (partial(mean_particle_distance, *OF_OBJECT, "springs"), "'springs'; allowed: one of own_weight, rigid"),
+    (partial(mean_particle_distance, *OF_OBJECT, "own weight"), f"support: got 'own weight'; {SUPPORTS}"),
+    (partial(mean_particle_distance, *OF_OBJECT, "springs"), f"support: got 'springs'; {SUPPORTS}"),
 ]
 
 

@@ -56,11 +56,8 @@ def test_solids_and_gripped_faces_are_in_the_key():
     assert keys[0] == key_of(trial_request(Trial(load_object("hammer"), Rotate(0)), SimulationSettings()))
 
 
-def test_a_key_depends_on_content_alone():
+def test_a_key_depends_on_content_alone_and_keys_of_many_seeds_are_those_of_each():
     assert key_of({"a": 1, "b": [1, 2]}) == key_of({"b": [1, 2], "a": 1}) != key_of({"a": 1})
-
-
-def test_keys_of_many_seeds_are_those_of_each():
     request = {"b": [1, 2], "z": {"seed": 1}, "a": "x"}
     assert keys_of_seeds(request, [0, 7, 12]) == [key_of(request | {"seed": seed}) for seed in (0, 7, 12)]
 
@@ -72,9 +69,6 @@ def test_a_swept_setting_of_words_and_numbers_is_kept_in_words(tmp_path):
     assert list(pd.read_parquet(tmp_path / "results.parquet")["axis.support"].dropna()) == list(kept.dropna())
     words = ["own_weight", "10", "1000.0", "rigid", "own_weight, rigid", "none"]
     assert list(kept)[:6] == axis_values(rows_of(kept.to_frame()), "axis.support") == words
-
-
-def test_a_swept_list_of_one_is_its_item():
     assert list(axis_columns({"a": [["low"]], "b": [2], "c": [{"n": 1}], "d": (1, 2)}).values()) == [
         "low", 2, "n = 1", "1, 2"]  # fmt: skip
 
@@ -164,14 +158,10 @@ def test_load_estimate_is_the_inverse_of_put_estimate(tmp_path, answer):
     }
     Store(tmp_path).put_estimate("key", row, answer, L2.shape)
     same(load_estimate(tmp_path, "key"), answer)
-
-
-@pytest.mark.parametrize(("name", "harm"), [("estimate.npz", b"PK"), ("result.json", b"{")])
-def test_a_damaged_estimate_is_an_error(tmp_path, name, harm):
-    Store(tmp_path).put_estimate("key", {"status": "ok"}, FULL, L2.shape)
-    (tmp_path / "estimates" / "key" / name).write_bytes(harm)
-    with pytest.raises(HeftError, match="whole"):
-        load_estimate(tmp_path, "key")
+    for name in ("estimate.npz", "result.json"):
+        (tmp_path / "estimates" / "key" / name).write_bytes(b"{")
+        with pytest.raises(HeftError, match=f"{name}: not a whole"):
+            load_estimate(tmp_path, "key")
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +255,7 @@ def lose(path: Path) -> None:
     path.write_bytes(data)
 
 
-def test_no_bit_of_a_stored_file_turns_unseen(finished, tmp_path):
+def test_a_changed_bit_of_a_stored_file_is_detected(finished, tmp_path):
     rng, path = np.random.default_rng(0), tmp_path / "file"
     for name in KINDS:
         whole = next(finished.out.rglob(name))
@@ -312,7 +302,7 @@ def test_a_drawn_object_is_drawn_again(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["trajectory.parquet", "trial.json"])
-def test_a_measured_trial_is_left_out_told_and_kept(tmp_path, name):
+def test_a_damaged_measured_trial_is_left_out_with_a_warning_and_kept(tmp_path, name):
     obj, store = load_object("L2"), Store(tmp_path)
     for number in range(2):
         taken = record(provenance={"runner": "robot", "recorded": str(number)})
@@ -408,16 +398,15 @@ def test_a_run_removes_the_leftovers_of_heft_and_nothing_that_is_being_written_o
     assert {path: path.exists() for path in names} == names
 
 
-@pytest.mark.parametrize("stage", ["figures", "record_results", "report"])
-def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, tmp_path, stage):
+def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, tmp_path):
     def full(*_: object) -> None:
-        raise OSError(28, "No space left on device", str(copied / stage))
+        raise OSError(28, "No space left on device", str(copied / "report"))
 
     for name in ("figures", "record_results", "record_worst", "report"):
-        monkeypatch.setattr(finished_views, name, full if name == stage else lambda *_: copied / "x.pdf")
+        monkeypatch.setattr(finished_views, name, full if name == "report" else lambda *_: copied / "x.pdf")
     scenario = shutil.copy(finished.scenario, tmp_path / "my scenario.toml")
     said = refusal(capsys, "run", str(scenario), "--out", str(copied), "--workers", "0")
-    assert said == f"heft: No space left on device: {copied / stage}\n"
+    assert said == f"heft: No space left on device: {copied / 'report'}\n"
     command = (read_manifest(copied) or {})["command"]
     assert shlex.split(command) == ["heft", "run", str(scenario), "--out", str(copied)]
 

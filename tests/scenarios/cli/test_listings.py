@@ -116,8 +116,7 @@ def test_the_version_is_one_line(capsys):
     assert capsys.readouterr().out == f"heft {version('heft-testbed')}\n"
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
+@pytest.mark.parametrize(("words", "unbuffered"), [(["--help"], ""), (["--help"], "1"), (["run", "--help"], "1")])
 def test_a_reader_that_has_read_enough_gets_no_traceback(words, unbuffered):
     """End of `heft --help | head`: code 0, and nothing on stderr."""
     program = [sys.executable, "-c", "from scenarios.cli.main import command; command()", *words]
@@ -185,7 +184,7 @@ def test_an_object_in_links_is_shown_with_its_hinges(capsys):
 
 
 @pytest.mark.slow
-def test_it_tells_misfit_causes_and_trials_and_draws_them(longer, tmp_path, capsys):
+def test_doctor_prints_misfit_causes_and_trials_and_draws_them(longer, tmp_path, capsys):
     main(["doctor", str(results := shutil.copytree(longer.out, tmp_path / "out"))])
     said = " ".join(capsys.readouterr().out.split())
     assert said.count("trials that fit least") == said.count("figure: ") == 4  # two supports under two sensors
@@ -194,24 +193,12 @@ def test_it_tells_misfit_causes_and_trials_and_draws_them(longer, tmp_path, caps
     assert len(list((results / "figures").glob("doctor_pair_*.png"))) == 4
 
 
-@pytest.mark.slow
-def test_what_is_not_there_is_named(longer, tmp_path, capsys):
-    results = shutil.copytree(longer.out, tmp_path / "out")
-    for words, wanted in ((["another"], "one of pair"), (["--draw", "7"], "a draw that the folder has estimates of")):
-        assert wanted in refusal(capsys, "doctor", str(results), *words)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["I1"], "OBJECT: got 'I1'; allowed: one of L2"), (["L2", "--draw", "9"], "--draw: got 9; allowed: .*of: 0, 1")],
-)
-def test_doctor_names_an_object_or_a_draw_that_is_not_there(tmp_path, capsys, words, said):
-    write_rows(tmp_path, [row("a", seed, 0.1) for seed in (0, 1)])
-    assert re.search(said, refusal(capsys, "doctor", str(tmp_path), *words))
-
-
-def test_doctor_of_a_folder_without_estimates_names_the_folder(tmp_path, capsys):
+def test_doctor_names_estimates_an_object_or_a_draw_that_are_not_there(tmp_path, capsys):
     assert "DIR: got " in refusal(capsys, "doctor", str(tmp_path))
+    write_rows(tmp_path, [row("a", seed, 0.1) for seed in (0, 1)])
+    assert "OBJECT: got 'I1'; allowed: one of L2" in refusal(capsys, "doctor", str(tmp_path), "I1")
+    draws = "--draw: got 9; allowed: a draw that the folder has estimates of: 0, 1"
+    assert draws in refusal(capsys, "doctor", str(tmp_path), "L2", "--draw", "9")
 
 
 def test_a_recording_is_found_and_imported(

@@ -59,6 +59,12 @@ def copied(finished: Finished, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def no_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs end without figures, recording and report, which take most of the time of a small one."""
+    monkeypatch.setattr("scenarios.views.finished.write_views", lambda *_, **__: ())
+
+
+@pytest.fixture
 def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Replaces the entry points of installed packages: `install(estimators="name = module:Class, ...")`."""
 

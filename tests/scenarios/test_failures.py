@@ -58,18 +58,30 @@ class Exit:
 BATCHES = """
 from estimators import Estimate
 
-class Together:
+class Apart:
     def estimate(self, shape, weight, trajectories, seed):
         if seed == 1:
             raise ValueError("not this one")
         return Estimate(None, "no_data", "one by one")
 
+class Raises(Apart):
     def estimate_many(self, shape, weights, draws, seeds):
-        open("asked", "a").write(f"{len(draws)} ")
-        {way}
+        open("Raises", "a").write(f"{len(draws)} ")
+        raise ValueError("no")
 
-class Apart(Together):
-    estimate_many = None
+class Nothing(Apart):
+    def estimate_many(self, shape, weights, draws, seeds):
+        open("Nothing", "a").write(f"{len(draws)} ")
+        return []
+
+class Nones(Apart):
+    def estimate_many(self, shape, weights, draws, seeds):
+        open("Nones", "a").write(f"{len(draws)} ")
+        return [None] * len(draws)
+
+class Together(Apart):
+    def estimate_many(self, shape, weights, draws, seeds):
+        return [Estimate(None, "no_data", f"{len(draws)} at once") for _ in draws]
 """
 REASONS = {
     "Fails": r"LinAlgError: Singular matrix \(failing.py, line 8\)",
@@ -114,6 +126,7 @@ def test_nothing_but_failures_is_a_table_a_report_and_the_place_of_each_error(he
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_views")
 def test_a_method_beside_those_that_fail_answers(here, finished):
     names = ["failing:Fails", "failing:NotANumber", "failing:Exit", "tests.fakes.misbehaving:Misbehaving"]
     asked = [*names, "hidden_states"]
@@ -127,21 +140,23 @@ def test_a_method_beside_those_that_fail_answers(here, finished):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["raise ValueError('no')", "return []", "return [None] * len(draws)"])
-def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished, way):
-    (here / "failing.py").write_text(BATCHES.replace("{way}", way), encoding="utf-8")
-    names = ["failing:Together", "failing:Apart"]
+@pytest.mark.usefixtures("no_views")
+def test_a_batch_that_fails_is_asked_one_draw_at_a_time(here, finished):
+    (here / "failing.py").write_text(BATCHES, encoding="utf-8")
+    batches = ["Raises", "Nothing", "Nones"]
+    names = [f"failing:{name}" for name in ("Apart", *batches)]
     assert ended("run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", *names) == 1
-    together, apart = (load_results(here / "out").query(f"method == '{name}'") for name in names)
-    assert list(together["status"]) == ["failed" if seed == 1 else "no_data" for seed in together["seed"]]
-    assert list(together["message"]) == list(apart["message"])
-    assert (here / "asked").read_text() == "3 "
+    apart, *together = (load_results(here / "out").query(f"method == '{name}'") for name in names)
+    for name, rows in zip(batches, together, strict=True):
+        assert list(rows["status"]) == ["failed" if seed == 1 else "no_data" for seed in rows["seed"]]
+        assert list(rows["message"]) == list(apart["message"])
+        assert (here / name).read_text() == "3 "
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_views")
 def test_a_batch_goes_on_with_the_draws_that_are_left(here, finished):
-    answers = "return [Estimate(None, 'no_data', f'{len(draws)} at once') for _ in draws]"
-    (here / "failing.py").write_text(BATCHES.replace("{way}", answers), encoding="utf-8")
+    (here / "failing.py").write_text(BATCHES, encoding="utf-8")
     command = ["run", str(finished.scenario), "--out", "out", "--workers", "0", "--methods", "failing:Together"]
     assert ended(*command) == 1
     rows = load_results(here / "out")
@@ -161,9 +176,8 @@ def test_a_missing_extra_is_said_before_any_trial(tmp_path, monkeypatch, capsys,
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("here")
-def test_an_error_is_placed_in_the_class_of_others_or_passed_on():
+def test_an_error_is_placed_in_the_class_of_others_or_passed_on(as_user):
+    as_user(failing=METHODS)
     kind: Any = load_class("failing:Fails", ESTIMATOR, "methods")
     with (
         pytest.raises(HeftError, match=r"^run\(\) ends in LinAlgError: .*failing.py, line 8"),

@@ -36,12 +36,9 @@ def test_axes_are_combined_or_go_side_by_side(mode, expected):
     assert [tuple(axes.values()) for axes, _ in points] == (expected if mode else [()])
 
 
-def test_a_field_that_one_of_the_swept_policies_uses_can_be_swept():
+def test_a_field_of_one_of_the_swept_policies_and_a_methods_setting_can_be_swept():
     axes = {"policy.kind": ["reversed_pairs", "greedy"], "policy.touches": [2, 3]}
     assert len(Scenario.model_validate({"objects": ["I1"], "sweep": {"axes": axes}}).points()) == 4
-
-
-def test_a_methods_setting_can_be_swept():
     sweep = {"axes": {"methods.weighted_sampling.decay": [0.5, 0.9]}}
     scenario = Scenario.model_validate({"objects": ["I1"], "methods": {"weighted_sampling": {}}, "sweep": sweep})
     assert [p.methods["weighted_sampling"]["decay"] for _, p in scenario.points()] == [0.5, 0.9]
@@ -117,7 +114,7 @@ def test_a_wrong_scenario_is_refused_with_its_field(tmp_path, change, message):
 
 
 def test_an_unknown_scenario_is_refused():
-    with pytest.raises(InvalidValueError, match="one of ablation, articulated, blocks"):
+    with pytest.raises(InvalidValueError, match=r"one of ablation, articulated, blocks.*nearest: blocks"):
         load_scenario("bloks")
 
 

@@ -1,4 +1,4 @@
-"""Estimates of a results folder, read back: as a table, as rows, as values.
+"""Estimates of a results folder: as a table, as rows, as values.
 
 Columns of the table, a row per estimate (one method, one draw of the sensor's errors):
 
@@ -7,13 +7,13 @@ Columns of the table, a row per estimate (one method, one draw of the sensor's e
 | object, support, sensing, method, seed | the experiment and the draw; `method` is the scenario's label |
 | kind | the method behind the label |
 | axis.<field> | value of each swept field of the scenario |
-| status | ok; underdetermined, unexplained, no_data: what the method says; failed, infeasible: there is no answer |
+| status | ok; underdetermined, unexplained, no_data: stated by the method; failed, infeasible: no answer |
 | message | why status is not ok |
-| assumes | what the masses rest on and the method does not test; empty without a method that says so |
+| assumes | assumption of the masses that the method does not test; empty if it states none |
 | nad | normalized absolute difference: sum of the masses' errors over the true mass, 0 is right |
 | mpd_m | mean particle distance at the end of a turn, open loop, as in the paper |
 | mpd_open_loop_m, mpd_turn_m | the same after 1 s; over a whole turn, state reset each step |
-| mpd_of_truth_m, mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses; with the first method |
+| mpd_of_truth_m, mpd_open_loop_of_truth_m, mpd_turn_of_truth_m | the same of the true masses; first method only |
 | mass_kg, mass_error_kg, true_mass_kg, group_names | of each mass group; its standard error, where a method has one |
 | misfit | squared residual over its variance: about 1 or less where the masses explain the trials |
 | friction | of each friction group |
@@ -21,13 +21,13 @@ Columns of the table, a row per estimate (one method, one draw of the sensor's e
 | hinge_Nm, hinge_error_Nm, true_hinge_Nm | friction of each hinge, its standard error, and the true one |
 | hinge_error | mean error of the hinges' friction over its mean |
 | weight_kg | M as weighed |
-| loss, optimizer | least loss of the search, and who found it |
-| rollouts | guesses that the search held against all data; 0 of methods that do not search |
-| trials, robot_s | what the method was given, and the robot time it took |
+| loss, optimizer | least loss of the search, and the optimizer that found it |
+| rollouts | guesses that the search compared with all data; 0 of methods that do not search |
+| trials, robot_s | number of trials of the method, and their robot time |
 | seconds | computing time of the estimate |
 | key | folder of the estimate in estimates/ |
-| trial_keys | folders in trials/ of what the method was given, the weighing first |
-| held_out_keys | folders in trials/ of the turns that its prediction was held against |
+| trial_keys | folders in trials/ of the trials of the method, the weighing first |
+| held_out_keys | folders in trials/ of the turns that its prediction is compared with |
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ MOST_TRACES = 40
 
 
 def load_results(path: str | Path) -> pd.DataFrame:
-    """The estimates of a run, a row each.
+    """Table of the estimates of a run, a row each.
 
     Args:
         path: results folder, or its results.parquet.
@@ -92,7 +92,7 @@ def load_results(path: str | Path) -> pd.DataFrame:
 
 
 def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
-    """Key and record of every finished trial of a run, one at a time, as the runner left it: no sensing drawn.
+    """Key and record of every finished trial of a run, one at a time, without draws of sensor errors.
 
     Args:
         path: results folder.
@@ -109,7 +109,7 @@ def load_trajectories(path: str | Path) -> Iterator[tuple[str, Trajectory]]:
 
 
 def load_rows(folder: Path) -> Sequence[Row]:
-    """Rows of the estimates that are done; of a finished run in the order of its scenario.
+    """Rows of the finished estimates; in the order of the scenario once the run is finished.
 
     Raises:
         HeftError: a row of another version of heft.
@@ -141,7 +141,7 @@ def row_of(folder: Path, beginning: str) -> Row:
 
 
 def load_estimate(folder: str | Path, key: str) -> Estimate:
-    """The estimate that `Store.put_estimate` wrote, with the traces that led to the answer first.
+    """Estimate as `Store.put_estimate` wrote it, the trace of the answer's optimizer first.
 
     Args:
         folder: results folder.
@@ -174,7 +174,7 @@ def load_estimate(folder: str | Path, key: str) -> Estimate:
 
 @contextmanager
 def this_version(place: Path) -> Iterator[None]:
-    """Turn an error over an array or a field into a DamagedFileError: `place` is of another version of heft."""
+    """Turn errors over missing or odd arrays and fields into a DamagedFileError that names `place`."""
     try:
         yield
     except KeyError as error:
@@ -194,7 +194,7 @@ def _trace(name: str, arrays: dict[str, np.ndarray]) -> Trace:
 
 
 def _value(kind: type[Any], prefix: str, arrays: dict[str, np.ndarray]) -> Any:
-    """A dataclass from the arrays of its fields; None where they are not there."""
+    """Dataclass from the arrays of its fields; None where one is missing."""
     fields = {f.name: arrays.get(f"{prefix}.{f.name}") for f in dataclasses.fields(kind)}
     if any(array is None for array in fields.values()):
         return None
@@ -209,7 +209,7 @@ def _plain(array: np.ndarray, annotation: str) -> Any:
 
 
 def load_arrays(folder: str | Path, key: str, ends: str = "") -> dict[str, np.ndarray]:
-    """Arrays of an estimate's file whose names end so.
+    """Arrays of an estimate's file whose names end in `ends`.
 
     Raises:
         DamagedFileError: the file is missing or damaged.
@@ -227,7 +227,7 @@ def load_arrays(folder: str | Path, key: str, ends: str = "") -> dict[str, np.nd
 
 
 def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[np.ndarray]]]:
-    """Losses, (I,) each, by method and optimizer; of methods with many estimates an even choice."""
+    """Losses, (I,) each, by method and optimizer; an even choice of at most MOST_TRACES estimates of a method."""
     keys: dict[str, list[str]] = {}
     for row in rows:
         if has_files(row):
@@ -244,6 +244,6 @@ def load_losses(folder: Path, rows: Sequence[Row]) -> dict[str, dict[str, list[n
 
 
 def load_tracebacks(folder: Path) -> dict[str, str]:
-    """Tracebacks of the trials and estimates that failed and are still not done, by path."""
+    """Tracebacks of the failed trials and estimates that are not done since, by path."""
     errors = [path for stage in STAGES for path in errors_left(folder, stage)]
     return {str(path.relative_to(folder)): path.read_text(encoding="utf-8", errors="replace") for path in errors}

@@ -21,7 +21,7 @@ from testbed.errors import HeftError, InvalidValueError
 from testbed.files import UNSEALED, DamagedFileError, load_sealed, unless_damaged, write_sealed
 
 LOCK = ".lock"
-"""File in the results folder, held while a run writes there; the system lets go of it when the run ends or dies."""
+"""Lock file of a results folder, held while a run writes there; the system releases it when the process ends."""
 
 _MANIFEST = {
     "scenario": dict,
@@ -35,9 +35,9 @@ _MANIFEST = {
 }
 _SCENARIO = {"objects": list, "sensing": list, "methods": dict}
 STAGES = {"trials": "trial.json", "estimates": "result.json"}
-"""File that says a trial, or an estimate, is done, by their folder."""
+"""File that marks a trial, or an estimate, as done, by the name of their folder."""
 SHOWN, MOST_KEYS = 8, 6
-"""Letters of a key, and number of keys, in an error."""
+"""Number of letters of a key, and number of keys, in an error."""
 
 
 class FolderInUseError(HeftError):
@@ -45,10 +45,10 @@ class FolderInUseError(HeftError):
 
 
 def inside(root: Path, *names: str) -> Path:
-    """Path of a file in a results folder, by names that a file may have given.
+    """Path of a file in a results folder, by names that may come from a file.
 
     Raises:
-        HeftError: a name that is none, or a link: it leads out of the folder.
+        HeftError: a name or a link leads out of the folder.
     """
     path = root.joinpath(*names)
     plain = all(name not in ("", ".", "..") and not {"/", "\0"} & {*name} for name in names)
@@ -59,7 +59,7 @@ def inside(root: Path, *names: str) -> Path:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Object in a JSON file, without its checksum; None where there is no file.
+    """Content of a JSON file, without its checksum; None where there is no file.
 
     Raises:
         DamagedFileError: it is damaged.
@@ -74,12 +74,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def stored(root: Path, stage: str, then: str = "left out") -> Iterator[tuple[Path, dict[str, Any] | None]]:
-    """Folder of each trial or estimate that is done, sorted, and what its file holds; None where that is damaged.
+    """Folder of each finished trial or estimate, sorted, and the content of its file; None where it is damaged.
 
     Args:
         root: results folder.
         stage: "trials" or "estimates".
-        then: what follows for a damaged one, in the warning.
+        then: consequence for a damaged one, in the warning.
     """
     for path in sorted(root.glob(f"{stage}/*/{STAGES[stage]}")):
         yield path.parent, unless_damaged(partial(read_json, path), then)
@@ -103,13 +103,13 @@ def check_results(folder: Path) -> None:
 
 
 def tally(statuses: Iterable[str]) -> str:
-    """Numbers of the statuses that are not ok, in words, the most frequent first; empty where all are."""
+    """Number of each status that is not ok, in words, the most frequent first; empty where all are ok."""
     amiss = Counter(status.replace("_", " ") for status in statuses if status != "ok")
     return ", ".join(f"{count} {status}" for status, count in amiss.most_common())
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of a results folder, with fields of the right kind; None where there is none.
+    """Manifest of a results folder, with fields of the right types; None where there is none.
 
     Raises:
         DamagedFileError: it is damaged, or of another version.
@@ -155,7 +155,7 @@ def check_unambiguous(field: str, beginning: str, keys: Sequence[str]) -> None:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Hold a results folder, made if it is not there. Only a run needs it; who adds whole files does not.
+    """Lock a results folder for a run, and create it if it is missing; adding whole files needs no lock.
 
     Raises:
         FolderInUseError: another run holds it.
@@ -184,10 +184,10 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 
 def _opened(lock: Path, flags: int, mode: str) -> IO[str]:
-    """The lock's file; nothing that a link, a pipe or a second name of another file makes of it.
+    """Open the lock file; links, pipes and other names of a file are refused.
 
     Raises:
-        HeftError: it is none of heft's.
+        HeftError: it is not a plain file with one name.
         OSError: it cannot be opened.
     """
     try:
@@ -204,7 +204,7 @@ def _opened(lock: Path, flags: int, mode: str) -> IO[str]:
 
 
 def is_held(folder: Path) -> bool:
-    """True if a run is writing to a results folder; nothing is written to find out."""
+    """True if a run is writing to a results folder; the check writes nothing."""
     try:
         with _opened(folder / LOCK, os.O_RDONLY, "r") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -36,17 +36,17 @@ class ImportedLog:
     path: Path
     """Path of the log."""
     place: str
-    """The same, with the stretch of it."""
+    """Path and stretch of the log."""
     object: ObjectModel
     trajectory: Trajectory
     key: str
     """Key of the trial."""
     source: dict[str, Any]
-    """Content of the files, and how they are read, as the trial's request has it."""
+    """Checksums of the files and the mapping, as in the trial's request."""
     replaced: list[str] = field(default_factory=list)
-    """Keys of earlier trials of the same stretch, which are removed."""
+    """Keys of the removed earlier trials of the same stretch."""
     alike: list[str] = field(default_factory=list)
-    """Keys of earlier trials of that stretch of other files of the same name, which stay."""
+    """Keys of earlier trials of the stretch in other files of the same name, which stay."""
 
 
 def import_logs(
@@ -60,15 +60,15 @@ def import_logs(
     """Read all logs, then write all trials.
 
     Args:
-        mapping: TOML file that says what the columns are.
-        logs: tables, .mcap files or ROS 2 bags; those that the mapping names if empty.
+        mapping: TOML file that names the columns.
+        logs: tables, .mcap files or ROS 2 bags; default: the logs that the mapping names.
         out: results folder.
-        support_name: support that carried the weight, as far as the operator knows; None is `support_of` the shape.
-        weight: mass of the object as a scale read it [kg]; None is not known.
-        progress: receives how many logs are read.
+        support_name: support of the object, if known; None is the default of `support_of`.
+        weight: mass of the object as read from a scale [kg]; None is unknown.
+        progress: callback for the number of logs that are read.
 
     Raises:
-        HeftError: a file is not what it should be; a line for each error of all files, and nothing is written.
+        HeftError: unreadable or wrong files; a line for each error, and nothing is written.
     """
     content = load_toml(mapping, Mapping)
     if support_name is not None:
@@ -99,9 +99,9 @@ def import_logs(
         store.remove_leftovers()
         imported = []
         for (path, entry), trajectory, source in zip(entries, trajectories, sources, strict=True):
-            said = {"log": path.name} | source
-            key = _put(store, Trial(model, trajectory.action, support), trajectory, {"import": said})
-            imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key, said))
+            named = {"log": path.name} | source
+            key = _put(store, Trial(model, trajectory.action, support), trajectory, {"import": named})
+            imported.append(ImportedLog(path, _place(path, entry), model, trajectory, key, named))
         _remove_earlier(store, imported)
         if weight is not None:
             read = read_off(weight)
@@ -118,7 +118,7 @@ def _read(path: Path, entry: LogMap, mapping: Path, delay: Delay | None, done: C
 
 
 def _source(path: Path, entry: LogMap, content: Mapping, folder: Path, delay: Delay | None) -> dict[str, Any]:
-    """Content of a trial's files, and how it is read: all that its trajectory depends on."""
+    """Checksums of a trial's files, mapping and delay: all that its trajectory depends on."""
     table = content.for_entry(entry)
     checksum = _checksum([path, *([folder / table.sensor.file] if table.sensor.file else [])])
     read: dict[str, Any] = {"sha256": checksum, "mapping": table.model_dump(exclude_none=True)}
@@ -135,7 +135,7 @@ def _place(path: Path, entry: LogMap) -> str:
 
 
 def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
-    """Content of a log; every line of an error begins with the file that is wrong."""
+    """Result of `read`; every line of its error begins with the log or another file."""
     try:
         return read()
     except HeftError as error:
@@ -143,7 +143,7 @@ def _named(path: Path, entry: LogMap, read: Callable[[], Any]) -> Any:
 
 
 def placed_in(place: str, error: HeftError) -> LogError:
-    """The error, each line beginning with a log's place where it names no file."""
+    """Error whose lines begin with the place of a log, unless they begin with a file."""
 
     def named(line: str) -> bool:
         file = line.split(": ", maxsplit=1)[0]
@@ -152,17 +152,17 @@ def placed_in(place: str, error: HeftError) -> LogError:
     return LogError("\n".join(line if named(line) else f"{place}: {line}" for line in str(error).splitlines()))
 
 
-def _put(store: Store, trial: Trial, trajectory: Trajectory, said: dict[str, Any]) -> str:
-    """Put a trial where simulated ones are kept; its key."""
-    request = record_request(trial) | said
+def _put(store: Store, trial: Trial, trajectory: Trajectory, origin: dict[str, Any]) -> str:
+    """Store a trial as simulated ones are stored; return its key."""
+    request = record_request(trial) | origin
     key = key_of(request)
-    origin = trajectory.provenance | {"imported": datetime.now(UTC).isoformat()}
-    store.put_trial(key, trial, request, replace(trajectory, provenance=origin))
+    provenance = trajectory.provenance | {"imported": datetime.now(UTC).isoformat()}
+    store.put_trial(key, trial, request, replace(trajectory, provenance=provenance))
     return key
 
 
 def _remove_earlier(store: Store, imported: Sequence[ImportedLog]) -> None:
-    """Remove earlier trials of an object's stretches of the same logs; those of other logs of their names are noted."""
+    """Remove earlier trials of the imported stretches; note those of other files of the same names in `alike`."""
     keys = {log.key for log in imported}
     for place, known in stored(store.root, "trials", "left as it is"):
         earlier = (known or {}).get("asked", {}).get("import", {})
@@ -179,14 +179,14 @@ def _remove_earlier(store: Store, imported: Sequence[ImportedLog]) -> None:
 
 
 def _overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """True if two trials are of the same rows of a log, and their motions share a time."""
+    """True if two trials are of the same rows of a log, and their motions overlap in time."""
     (begin, end), (start, stop) = moved_as_stored(one), moved_as_stored(other)
     where, others = (source["mapping"].get("where") or {} for source in (one, other))  # an older heft wrote none
     return where == others and begin < stop and start < end
 
 
 def _checksum(logs: Sequence[Path]) -> str:
-    """SHA-256 of the files of a log in a row; of a bag's folder those in it."""
+    """SHA-256 of the concatenated files of logs; of a bag's folder the files in it."""
     total = hashlib.sha256()
     for log in logs:
         for file in sorted(f for f in log.iterdir() if f.is_file()) if log.is_dir() else [log]:

@@ -1,4 +1,4 @@
-"""Results on disk: one folder per trial, one file per estimate, each written whole; what is there is done.
+"""Results on disk: a folder per trial and per estimate, each file written whole; existing ones are done.
 
 results/<scenario>/manifest.json
                    trials/<key>/trajectory.parquet, trial.json    one physical trial, shared by every draw and method
@@ -7,10 +7,10 @@ results/<scenario>/manifest.json
                                    result.json                    one answer, with its error against the truth
                                    error.txt                      or why there is none
                    objects/<key>/<name>.toml                      drawn objects
-                   notes/<key>.json                               what would take long to work out again
+                   notes/<key>.json                               values that are slow to compute
                          marks.parquet                            files that were read whole, until they change
                          <method>.log                             what a method of another package printed
-                   results.parquet                                derived from the above
+                   results.parquet                                table of the estimates
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def key_of(request: dict[str, Any]) -> str:
 
 
 def keys_of_seeds(request: dict[str, Any], seeds: Iterable[int]) -> list[str]:
-    """Content keys of a request with each seed, as `key_of` of each: its text is written once."""
+    """Content keys of a request with each seed, equal to `key_of` of each."""
     mark = "\0seed\0"
     begin, end = _canonical(request | {"seed": mark}).split(json.dumps(mark))
     return [_digest(f"{begin}{seed}{end}".encode()) for seed in seeds]
@@ -65,7 +65,7 @@ def _digest(data: bytes) -> str:
 
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
-    """All that decides a physical trial, as plain data; sensing is drawn afterwards and is not in it."""
+    """All that determines a physical trial, as plain data, without the sensing, which is drawn afterwards."""
     drawn = {} if trial.world is None else {"world": trial.world.request(trial.object)}
     return drawn | {
         "schema": SCHEMA_VERSION,
@@ -88,7 +88,7 @@ def record_request(trial: Trial) -> dict[str, Any]:
 
 
 def object_request(model: ObjectModel) -> dict[str, Any]:
-    """All that decides how an object behaves, as plain data."""
+    """All that determines the behaviour of an object, as plain data."""
     shape, truth = model.shape, model.truth
     more: dict[str, Any] = {} if (shape.fill == 1).all() else {"fill": shape.fill.tolist()}
     if not model.masses_known:
@@ -133,11 +133,11 @@ class Store:
 
     root: Path
     fresh_secret: str | None = None
-    """Secret of a run whose manifest is not written yet; None where the manifest has it."""
+    """Secret of a run whose manifest is not yet written; None takes it from the manifest."""
 
     @cached_property
     def secret(self) -> str:
-        """Secret from which all draws of the run are seeded; empty of measured trials, and of runs of heft 0.1.0.
+        """Secret that seeds all draws of the run; empty for measured trials, and for runs of heft 0.1.0.
 
         Raises:
             DamagedFileError: the manifest is damaged.
@@ -156,9 +156,9 @@ class Store:
         return inside(self.root, "trials", key, "trial.json").is_file()
 
     def has_sound_trial(self, key: str, marks: Marks | None = None) -> bool:
-        """True if a trial is done, and its files are as they were written; a damaged one is not done any more.
+        """True if a trial is done and its files are whole; a damaged trial is set to not done.
 
-        Files that have their mark are not read; the mark of others is added.
+        Files with a valid mark are not read; the marks of the others are added to `marks`.
         """
         if not self.has_trial(key):
             return False
@@ -176,7 +176,7 @@ class Store:
     def put_trial(
         self, key: str, trial: Trial, request: dict[str, Any], trajectory: Trajectory, feet: FootForces | None = None
     ) -> None:
-        """Write a trial; trial.json comes last and means done."""
+        """Write a trial; trial.json comes last and marks it as done."""
         folder, shape = inside(self.root, "trials", key, "trial.json").parent, trial.object.shape
         save_trajectory(trajectory, folder / "trajectory.parquet")
         if feet is not None:
@@ -195,15 +195,15 @@ class Store:
         return load_trajectory(inside(self.root, "trials", key, "trajectory.parquet"))
 
     def note(self, key: str) -> dict[str, Any] | None:
-        """Something worked out before, or None."""
+        """Content of a note; None where it is missing or damaged."""
         return unless_damaged(lambda: read_json(inside(self.root, "notes", f"{key}.json")), "worked out again")
 
     def put_note(self, key: str, data: dict[str, Any]) -> None:
-        """Keep something that would take long to work out again."""
+        """Write a note: a value that is slow to compute."""
         write_json(inside(self.root, "notes", f"{key}.json"), data)
 
     def log(self, method: str) -> Path:
-        """File for what a method of another package prints."""
+        """File of the output of a method of another package."""
         return inside(self.root, "notes", f"{method}.log")
 
     def put_object(self, path: Path, file: ObjectFile) -> None:
@@ -241,24 +241,24 @@ class Store:
         return unless_damaged(checked, "made again")
 
     def put_estimate(self, key: str, row: dict[str, Any], answer: Estimate, shape: ObjectShape) -> None:
-        """Write an estimate: its arrays, then its row, which comes last and means done."""
+        """Write an estimate: its arrays, then its row, which marks it as done."""
         folder = inside(self.root, "estimates", key, "result.json").parent
         write_arrays(folder / "estimate.npz", _arrays_of(answer, shape))
         write_json(folder / "result.json", row)
         (folder / "error.txt").unlink(missing_ok=True)
 
     def put_error(self, stage: str, key: str, text: str) -> None:
-        """Write why one of the "trials" or "estimates" failed; it stays undone, and the next run tries again."""
+        """Write the error of one of the "trials" or "estimates", which stays undone for the next run."""
         write_text(inside(self.root, stage, key, "error.txt"), text)
 
     def remove_errors(self, stage: str, but: Collection[str]) -> None:
-        """Remove the errors of "trials" or "estimates" with other keys than these, which a finished run has not."""
+        """Remove the errors of "trials" or "estimates" whose keys are not in `but`."""
         for path in errors_left(self.root, stage):
             if path.parent.name not in but:
                 inside(self.root, stage, path.parent.name, path.name).unlink()
 
     def remove_leftovers(self) -> None:
-        """Remove what killed runs were still writing in the folders of a run; what others are writing stays."""
+        """Remove the partial files of killed runs in the folders of a run; those of running processes stay."""
         remove_leftovers(self.root)
         for folder in (self.root / name for name in _FOLDERS):
             if not folder.is_symlink():

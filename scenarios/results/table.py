@@ -1,4 +1,4 @@
-"""Table of results: rows kept by column as they come, and taken from the last run's table while files stay as read."""
+"""Table of results: new rows, and rows of the last table whose files are unchanged, kept by column."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from testbed.files import load_sealed, read_table, unless_damaged, write_table
 
 TABLE = "results.parquet"
 PIECE = 1000
-"""Rows that are kept as dicts before they are put into columns, which take a tenth of the memory."""
+"""Number of rows kept as dicts before they are moved into columns, which need a tenth of the memory."""
 _NO_FILES = ("failed", "infeasible")
 """Statuses of rows without an estimate's files."""
 
 
 def has_files(row: Mapping[str, Any]) -> bool:
-    """True if a row has an estimate's files: the method came to an end."""
+    """True if the estimate of a row has files: its method has finished."""
     return bool(row.get("key")) and row.get("status") not in _NO_FILES
 
 
 class ResultTable:
-    """Table of a results folder, in the order of its rows' places."""
+    """Table of a results folder; `write` sorts its rows by their places."""
 
     def __init__(self, root: Path):
         self._root = root
@@ -38,7 +38,7 @@ class ResultTable:
         self._last = pa.table({})
         self._row_of: dict[str, int] = {}
         self.marks = load_marks(root)
-        """Marks of all trials and estimates that were read whole; those that are read from now on are added."""
+        """Marks of all trials and estimates that were read whole; later reads add theirs."""
         file = root / TABLE
         if file.is_file():
             last = unless_damaged(lambda: load_sealed(file, "table of results", read_table), "written again")
@@ -52,14 +52,14 @@ class ResultTable:
         return len(self._added) + len(self._recalled)
 
     def add(self, place: tuple[int, ...], labels: Mapping[str, Any], row: dict[str, Any]) -> None:
-        """Take a row; `labels` are its columns that place it in the scenario."""
+        """Add a row; `labels` are its columns that place it in the scenario."""
         self._added.append((place, labels))
         self._rows.append({name: value for name, value in row.items() if name not in labels})
         if len(self._rows) == PIECE:
             self._put_into_columns()
 
     def recall(self, place: tuple[int, ...], labels: Mapping[str, Any], key: str) -> bool:
-        """Take the row of an estimate from the last table; False where it has none, or a file may have changed."""
+        """Add the row of an estimate from the last table; False where it has none, or a file may have changed."""
         row, name = self._row_of.get(key), f"estimates/{key}"
         if row is None or self.marks.get(name) != mark_of(f"{self._root}/{name}", ESTIMATE):
             return False
@@ -71,7 +71,7 @@ class ResultTable:
         self._rows.clear()
 
     def write(self) -> pd.DataFrame:
-        """Write results.parquet; its content."""
+        """Write results.parquet, and return its content."""
         if self._rows:
             self._put_into_columns()
         pieces = list(self._pieces)
@@ -96,7 +96,7 @@ class ResultTable:
 
 
 def write_rows(root: Path, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
-    """Write rows as the results.parquet of a folder; its content."""
+    """Write rows as the results.parquet of a folder, and return its content."""
     table = ResultTable(root)
     for place, row in enumerate(rows):
         table.add((place,), {name: value for name, value in row.items() if name.startswith(AXIS)}, row)
@@ -104,7 +104,7 @@ def write_rows(root: Path, rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
 
 
 def _counts(table: pa.Table) -> dict[str, pa.ChunkedArray]:
-    """Columns of a table; a number of trials is an integer, whatever an earlier row without one has made of it."""
+    """Columns of a table, with `trials` as integers where no row lacks it."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     if "trials" in columns and not columns["trials"].null_count:
         columns["trials"] = columns["trials"].cast(pa.int64())
@@ -112,13 +112,13 @@ def _counts(table: pa.Table) -> dict[str, pa.ChunkedArray]:
 
 
 def _of_one_kind(column: list[Any]) -> list[Any]:
-    """A column of words and numbers, as of a swept support, in words: Parquet has one type a column."""
+    """Column of one type, as Parquet needs it: words and numbers, as of a swept support, become words."""
     kinds = {isinstance(v, str) for v in column if not _missing(v)}
     return [v if _missing(v) else str(v) for v in column] if len(kinds) > 1 else column
 
 
 def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a results table; what is missing is None."""
+    """Rows of a results table; missing values are None."""
     return [{str(k): None if _missing(v) else v for k, v in row.items()} for row in frame.to_dict("records")]
 
 

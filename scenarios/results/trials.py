@@ -1,4 +1,4 @@
-"""Trials of a results folder, read back: as recorded, with a draw of a sensor's errors, and measured ones by object."""
+"""Trials of a results folder: as recorded, with a draw of a sensor's errors, and measured ones by object."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from testbed.worlds.seeds import seed_of
 OTHER_FORMAT = (KeyError, IndexError, TypeError, ValueError, AttributeError)
 """Errors of reading a trial.json of another format."""
 _SHAPE = ("particles", "mass_group", "friction_group", "grasps", "fill", "feet")
-"""Parts of the request that all trials of an object must share."""
+"""Entries of the request that all trials of an object must share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +40,14 @@ class TrialRecord:
     folder: Path
     """trials/<key> of the results folder."""
     object: ObjectModel
-    """Object that was moved; named "object" where the folder does not say."""
+    """Object that was moved; named "object" where the folder has no name."""
     support: str
     """Support that carried its weight, by name."""
     trajectory: Trajectory
     pads: tuple[float, float]
-    """Distance between the pads while they held it, and before and after [m]."""
+    """Distance between the pads while they hold the object, and before and after [m]."""
     request: dict[str, Any]
-    """All that decided the trial, as plain data."""
+    """All that determines the trial, as plain data."""
 
 
 def read_trial(root: Path, beginning: str) -> TrialRecord:
@@ -86,11 +86,11 @@ def pads_of(shape: ObjectShape, action: Action) -> tuple[float, float]:
 
 
 def object_of(request: dict[str, Any], names: dict[str, Any]) -> ObjectModel:
-    """Object of a trial, with its solids where its name still leads to them.
+    """Object of a trial, with its solids where the object of its name still has them.
 
     Args:
         request: object as `object_request` wrote it.
-        names: names of the object, its mass groups and its grasps, as far as they are known.
+        names: names of the object, its mass groups and its grasps, where known.
     """
     called = names.get("grasps") or [str(i) for i in range(len(request["grasps"]))]
     grasps = [
@@ -147,7 +147,7 @@ def kind_of_trial(root: Path, key: str) -> str:
 
 
 def log_of_trial(root: Path, key: str) -> list[str]:
-    """Log and stretch of which a trial was imported; empty of others.
+    """Log and stretch of an imported trial; empty for others.
 
     Raises:
         DamagedFileError: its trial.json is damaged.
@@ -157,7 +157,7 @@ def log_of_trial(root: Path, key: str) -> list[str]:
 
 
 def trials_in_words(root: Path, shape: ObjectShape, keys: Sequence[str], trials: Sequence[Trajectory]) -> list[str]:
-    """Number, action and log of every trial after the weighing, numbered as the messages of estimates number them."""
+    """Number, action and log of every trial after the weighing, with the numbers of the messages of estimates."""
     each = enumerate(zip(trials, keys, strict=True), start=1)
     return [", ".join([f"{i}: {trial.action.describe(shape)}", *log_of_trial(root, key)]) for i, (trial, key) in each]
 
@@ -168,7 +168,7 @@ def _asked(root: Path, key: str) -> dict[str, Any]:
 
 
 def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) -> list[Trajectory]:
-    """Trials with one draw of a sensor's errors; measured ones as they are. Read-only, since methods share them.
+    """Trials with one draw of a sensor's errors; measured ones unchanged. Read-only, since methods share them.
 
     Args:
         store: results folder.
@@ -180,13 +180,13 @@ def sensed_trials(store: Store, keys: tuple[str, ...], sensing: str, seed: int) 
 
 
 def trials_behind(folder: Path, row: Row) -> list[Trajectory]:
-    """Trials of an estimate, by its row, as the method was given them: the weighing first."""
+    """Trials of an estimate as its method received them, the weighing first."""
     return sensed_trials(Store(folder), tuple(row["trial_keys"]), row["sensing"], int(row["seed"]))
 
 
 @lru_cache(maxsize=8)
 def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int, secret: str) -> tuple[Trajectory, ...]:
-    """Draws of the last experiments: a worker's next method is mostly given one of them."""
+    """Draws of the last experiments, cached for the next methods of a worker."""
     drawn = [sensed(t, sensing, seed, i, keys[i], secret) for i, t in enumerate(_trajectories(store, keys))]
     for trajectory in drawn:
         for value in vars(trajectory).values():
@@ -196,9 +196,9 @@ def _draw(store: Store, keys: tuple[str, ...], sensing: str, seed: int, secret: 
 
 
 def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str, secret: str) -> Trajectory:
-    """One draw of a sensor's errors on the `index`-th trial of an experiment, blinded; of a perfect sensor's alone.
+    """Trial number `index` of an experiment, blinded, with one draw of a sensor's errors where the record has none.
 
-    All that a method or a policy is given comes through here.
+    Methods and policies receive trials from this function only.
     """
     if not trajectory.is_clean:  # measured, or by a runner that draws errors of its own
         return trajectory.blinded()
@@ -208,7 +208,7 @@ def sensed(trajectory: Trajectory, sensing: str, seed: int, index: int, key: str
 
 @lru_cache(maxsize=4)
 def _trajectories(store: Store, keys: tuple[str, ...]) -> tuple[Trajectory, ...]:
-    """Trials of one experiment: a worker is mostly asked about the same ones, of two supports, as just before."""
+    """Trials of one experiment, cached for the next draws and methods of a worker."""
     return tuple(store.trajectory(key) for key in keys)
 
 
@@ -217,21 +217,21 @@ class MeasuredTrials:
     """Measured trials of one object under one support."""
 
     object: ObjectModel
-    """Object as its last trial has it; the estimates are held against its masses."""
+    """Object as in its last trial; the estimates are compared with its masses."""
     support: Support
-    """Support that carried its weight, as far as the operator knew."""
+    """Support as stated by the operator."""
     weighing: str
     """Key of its last weighing."""
     moved: tuple[str, ...]
     """Keys of its turns and slides in order of recording."""
     held_out: tuple[str, ...]
-    """Keys of turns that no method is given."""
+    """Keys of turns that are hidden from the methods."""
 
 
 def measured_records(root: Path) -> list[TrialRecord]:
-    """All whole trials of a folder in order of recording, those that are no data among them; a warning for the others.
+    """All whole trials of a folder in order of recording, unusable ones included; a warning for damaged ones.
 
-    Those of logs without a date come first, in order of import.
+    Trials of logs without a date come first, in order of import.
 
     Raises:
         InvalidValueError: not a results folder, or simulated trials.
@@ -247,7 +247,7 @@ def measured_records(root: Path) -> list[TrialRecord]:
 
 
 def recorded_order(trial: TrialRecord) -> tuple[str, ...]:
-    """Times at which a trial was recorded and imported, empty of a simulated one, and its key: trials sort by these."""
+    """Sort key of a trial: the times of its recording and import, empty for a simulated one, and its key."""
     origin = trial.trajectory.provenance
     return origin.get("recorded", ""), origin.get("imported", ""), trial.folder.name
 
@@ -261,12 +261,12 @@ def is_weighed(root: Path, name: str) -> bool:
 def measured_trials(
     root: Path, objects: Sequence[str] | None = None, held_out: int = 0
 ) -> tuple[list[MeasuredTrials], list[str]]:
-    """The measured trials of a folder, and a line for each that is left out because it is no data.
+    """Measured trials of a folder by object and support, and a line for each that is left out as unusable.
 
     Args:
         root: results folder.
         objects: names of the objects to take; None is all.
-        held_out: number of each one's last turns at constant speed that are kept from the methods.
+        held_out: number of last turns at constant speed, of each object and support, hidden from the methods.
 
     Raises:
         InvalidValueError: simulated trials, no trials, an object that is not there, was never weighed, or was not

@@ -1,4 +1,4 @@
-"""The library of scenarios: their names, and what each is for. It loads quickly."""
+"""Names and purposes of the scenarios in the library. It loads quickly."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def scenario_names() -> list[str]:
 
 
 def purpose(name: str) -> str:
-    """The comment at the top of a scenario of the library: what it is for, in a sentence or two."""
+    """Comment at the top of a scenario of the library: its purpose in a sentence or two."""
     lines = (LIBRARY / f"{name}.toml").read_text(encoding="utf-8").splitlines()
     return " ".join(line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines))

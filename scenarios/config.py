@@ -42,7 +42,7 @@ MOST_POINTS = 10_000
 
 
 class Strict(BaseModel):
-    """Every field is known, and nothing changes after reading."""
+    """Base of the tables: unknown fields are refused, and fields are read-only."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -102,18 +102,18 @@ class Simulation(Strict):
 
 
 class Truth(Strict):
-    """Changes to what is true of every object, hidden from every method."""
+    """Changes to the truth of every object, hidden from every method."""
 
     friction: Annotated[float, Field(gt=0, le=2)] | None = None
     friction_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     seed: Annotated[int, Field(ge=0)] = 0
 
     def applied(self, model: ObjectModel, secret: str) -> ObjectModel:
-        """The object with another friction, or with one of its own under every group (log-normal about the group's).
+        """Object with another friction, or with a friction for each mass group, log-normal about the object's.
 
         Args:
             model: the object.
-            secret: the run's, from which the draw is seeded.
+            secret: secret of the run, which seeds the draw.
         """
         shape, friction = model.shape, np.array(model.truth.friction)
         if self.friction is not None:
@@ -132,7 +132,7 @@ class Truth(Strict):
 
 
 class WorldTable(Strict):
-    """A world by name, any of its quantities changed, one source of error alone, and the seed of its draws."""
+    """World by name, changes to its quantities, a restriction to one source of error, and the seed of its draws."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
@@ -161,7 +161,7 @@ class WorldTable(Strict):
 
 
 class Sweep(Strict):
-    """Fields of the scenario that take several values: every combination (grid), or side by side (zip)."""
+    """Fields of the scenario with several values each: all combinations (grid), or the values in parallel (zip)."""
 
     mode: Literal["grid", "zip"] = "grid"
     axes: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
@@ -177,7 +177,7 @@ class Sweep(Strict):
         return self
 
     def points(self) -> list[dict[str, Any]]:
-        """Value of each axis, at every point."""
+        """Value of each axis at every point."""
         sizes = [len(values) for values in self.axes.values()]
         if (count := max(sizes, default=1) if self.mode == "zip" else math.prod(sizes)) > MOST_POINTS:
             raise InvalidValueError("sweep.axes", f"{count} points", f"at most {MOST_POINTS} combinations")
@@ -186,7 +186,7 @@ class Sweep(Strict):
 
 
 class Meshes(Strict):
-    """Objects made of the mesh files in a folder that the command names with --data."""
+    """Objects converted from the mesh files in the folder of the option --data."""
 
     files: str = "*/mesh.ply"
     notes: str = "Inertia.yaml"
@@ -197,7 +197,7 @@ class Meshes(Strict):
 
 
 class Scenario(Strict):
-    """A whole scenario file."""
+    """Content of a scenario file."""
 
     objects: list[str] = []
     meshes: Meshes | None = None
@@ -243,7 +243,7 @@ class Scenario(Strict):
         return self
 
     def replaced(self, **fields: Any) -> Scenario:
-        """The scenario with other values of some fields.
+        """Scenario with other values of some fields.
 
         Raises:
             InvalidFileError: no such field, or a value that does not fit; the message has a line for each error.
@@ -260,7 +260,7 @@ class Scenario(Strict):
         methods: Sequence[str] | None = None,
         world: str | None = None,
     ) -> Scenario:
-        """The scenario with the command line's changes.
+        """Scenario with the changes of the command line.
 
         Raises:
             InvalidValueError: fewer than one seed, an unknown method or world, or a field that [sweep] sets.
@@ -302,17 +302,17 @@ class Scenario(Strict):
         return [parse_support(value) for value in self.support]
 
     def draws(self, sensing: str) -> int:
-        """Draws of world and sensor: a perfect sensor in the ideal world needs one."""
+        """Number of draws of world and sensor; 1 of a perfect sensor in the ideal world."""
         return 1 if sensing == "ideal" and self.world.build().none else self.seeds
 
     def own_draws(self) -> list[tuple[str, int] | None]:
-        """Sensor and seed of every draw that has trials of its own; one None where all draws share theirs."""
+        """Sensor and seed of each draw with trials of its own; a single None where all draws share their trials."""
         if not self.policy.own_draw and self.world.build().none:
             return [None]
         return [(sensing, seed) for sensing in self.sensing for seed in range(self.draws(sensing))]
 
     def points(self) -> list[tuple[dict[str, Any], Scenario]]:
-        """Every point of the sweep: the axes' values, and the scenario there.
+        """Points of the sweep: values of the axes, and the scenario at the point.
 
         Raises:
             InvalidValueError: an axis that is no field, or a value that does not fit its field.
@@ -332,7 +332,7 @@ class Scenario(Strict):
         return points
 
     def _at(self, plain: dict[str, Any], point: dict[str, Any]) -> Scenario:
-        """The scenario with some fields changed."""
+        """Scenario at a point of the sweep."""
         changed = deepcopy(plain)
         for name, value in point.items():
             table, *path = changed, *name.split(".")
@@ -368,6 +368,6 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
 
 
 def _beside(name: str, folder: Path) -> str:
-    """An object's path as seen from the scenario's folder, where there is such a file; else the name as it is."""
+    """Path of an object's file in the folder of the scenario, if it exists; otherwise the name unchanged."""
     beside = folder / name
     return str(beside) if name.endswith(".toml") and beside.is_file() else name

@@ -43,12 +43,12 @@ FIELDS_OF = {
     "touches": ("push", "drag", *PLANNED),
     **dict.fromkeys(("until", "budget_s", "criterion", "candidates", "assumed_support"), PLANNED),
 }
-"""heft's own policies that a field is for, of those that are not for all."""
+"""heft's own policies that use a field, for the fields that some of them ignore."""
 
 
 @dataclass(frozen=True)
 class PolicyContext:
-    """Facts for a policy beside the shape: an argument of its class that has one of these names is filled in."""
+    """Arguments that heft passes to the class of a policy, where its signature has their names."""
 
     grasps: tuple[int, ...] = (0,)
     """Grasps that may be used."""
@@ -60,7 +60,7 @@ class PolicyContext:
 
 @dataclass(frozen=True)
 class NamedPolicy:
-    """A policy of another package, ended after `most` actions and held to the allowed grasps."""
+    """Policy of another package, limited to `most` actions and to the allowed grasps."""
 
     name: str
     policy: ActionPolicy
@@ -92,7 +92,7 @@ class NamedPolicy:
 
 @dataclass(frozen=True, eq=False)
 class AfterWeighing:
-    """A policy that is built when the object has been weighed."""
+    """Policy that is built once the object is weighed."""
 
     build: Callable[[float], ActionPolicy]
     """Policy for a reading of the scale [kg]."""
@@ -132,12 +132,12 @@ def build_policy(kind: str, settings: Mapping[str, Any], most: int, context: Pol
 
 
 def code_of(kind: str) -> dict[str, str]:
-    """Source hash of another package's policy: it decides the choices beyond the settings."""
+    """Source hash of a policy of another package, which determines its actions together with the settings."""
     return {"source": source_hash(find_class(kind, POLICY, "kind"))}
 
 
 class Policy(BaseModel):
-    """Choice of actions: by the paper's rank, by a plan before any trial or after each, or by a policy of your own."""
+    """Choice of actions: by the paper's rank, by a plan before any trial or after each, or by a class by name."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -197,7 +197,7 @@ class Policy(BaseModel):
 
     @property
     def own_draw(self) -> bool:
-        """True if each draw of a sensor's errors has its own trials: it draws them, or its wrenches decide them."""
+        """True if each draw of the sensor's errors has its own trials, chosen at random or by its wrenches."""
         return self.redraw or self.kind == "online"
 
     @property
@@ -219,7 +219,7 @@ class Policy(BaseModel):
 
     @property
     def of_one_body(self) -> bool:
-        """True if its actions show the masses of a rigid object alone, not those of links."""
+        """True if its actions determine the masses of a rigid object only, not those of links."""
         return self.lifts_last is not None
 
     @property
@@ -267,7 +267,7 @@ class Policy(BaseModel):
             grasps: allowed grasps.
             shape: geometry with the estimator's particles.
             settings: settings of the runner, for the feasibility of actions.
-            weighed: reading of the scale [kg], which may come later, but before the policy is asked.
+            weighed: reading of the scale [kg]; it may be appended later, before the first call of `next`.
             draw: sensor and number of the draw that the trials are for; None where all draws share them.
             refused: actions that were refused when they were run, without numbers; may grow later.
             setup: errors of the setup as stated.
@@ -305,7 +305,7 @@ class Policy(BaseModel):
         return AfterWeighing(of_weight, weighed)
 
     def request(self) -> dict[str, Any]:
-        """All that decides its choices, as plain data."""
+        """All that determines its choices, as plain data."""
         return self.model_dump() | ({} if self.kind in POLICIES else code_of(self.kind))
 
     def check(self, model: ObjectModel, settings: RunnerSettings, secret: str) -> FeasibilityCheck:
@@ -314,7 +314,7 @@ class Policy(BaseModel):
         Args:
             model: the object.
             settings: runner of its trials.
-            secret: the run's, from which the error of the reading is seeded.
+            secret: secret of the run, which seeds the error of the reading.
 
         Raises:
             InfeasibleTrialError: the scale does not show the object.
@@ -327,7 +327,7 @@ class Policy(BaseModel):
     def split(
         self, shape: ObjectShape, grasps: tuple[int, ...], number: int = 0
     ) -> tuple[tuple[int, ...], tuple[Rotate, ...]]:
-        """Grasps for trials, and turns for prediction: by a grasp that no trial has, where one can be spared.
+        """Grasps for trials, and turns for prediction, about a grasp that no trial uses where one can be spared.
 
         Args:
             shape: geometry with the estimator's particles.

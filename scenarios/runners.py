@@ -21,7 +21,7 @@ from testbed.trial import RIGID, Trial, TrialRunner
 
 @dataclass(frozen=True, eq=False)
 class NamedRunner:
-    """A runner by "package:Class" or entry point: all that decides its trials, as plain data."""
+    """Runner by "package:Class" or entry point: all that determines its trials, as plain data."""
 
     runner: str
     """Name of its class."""
@@ -84,7 +84,7 @@ RunnerSettings = SimulationSettings | NamedRunner
 
 
 def check_trial(trial: Trial, settings: RunnerSettings) -> None:
-    """Raise InfeasibleTrialError before a trial that a runner cannot do."""
+    """Raise InfeasibleTrialError if a runner cannot do a trial."""
     if isinstance(settings, NamedRunner):
         settings.check(trial)
     else:
@@ -97,7 +97,7 @@ def check_trial(trial: Trial, settings: RunnerSettings) -> None:
 class FeasibilityCheck:
     """Feasibility of an action before it is run: grip, clearance, reach, joints, torques and speeds.
 
-    The truth is not known, so the check uses an object of uniform mass: a trial may still be refused when it is run,
+    The check uses an object of uniform mass, since the truth is unknown: a trial may still be refused when it is run,
     and is then in `refused`. The object is one rigid body here: feasibility does not depend on how it rests.
     """
 
@@ -108,7 +108,7 @@ class FeasibilityCheck:
     """Actions that were refused when they were run, and why; grows as trials are made."""
 
     def __call__(self, action: Action) -> str:
-        """Reason why the robot cannot do it; empty where it can."""
+        """Reason why the robot cannot do an action; empty where it can."""
         if action in self.refused:
             return self.refused[action]
         try:

@@ -1,4 +1,4 @@
-"""heft import, calibrate, estimate: measured trials in, the methods' answers to them out."""
+"""heft import, calibrate and estimate: measured trials, and the answers of the methods."""
 
 from __future__ import annotations
 
@@ -70,18 +70,22 @@ def import_(
 
     with show_progress() as progress:
         imported = import_logs(mapping, logs, out, support, weight, progress)
-    nothing = [_shows_nothing(log.trajectory) for log in imported]
-    for log, why in zip(imported, nothing, strict=True):
+    unused = [_reason_unused(log.trajectory) for log in imported]
+    for log, why in zip(imported, unused, strict=True):
         print(_summary(log, why))
     model = imported[0].object
     wrong = wrong_motion(model.shape, [log.trajectory for log in imported])
     for text in wrong:
         print(f"wrong   {text}")
     bad, name = sum(not log.trajectory.ok for log in imported), model.name
-    state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "not as their actions say"
+    state = f"{bad} of them not usable" if bad else "all usable" if not wrong else "contradicting their actions"
     scale = "" if is_weighed(out, name) else f", after importing with the weight of {name}: --weight KG"
-    useless = all(not log.trajectory.ok or why for log, why in zip(imported, nothing, strict=True))
-    after = "what is said of the trials above" if useless or 2 * bad > len(imported) else f"heft estimate {out}{scale}"
+    useless = all(not log.trajectory.ok or why for log, why in zip(imported, unused, strict=True))
+    after = (
+        "see the messages about the trials above"
+        if useless or 2 * bad > len(imported)
+        else f"heft estimate {out}{scale}"
+    )
     if wrong:
         after = f"correct {mapping}, its units and signs too, and import again"
     print(f"{len(imported)} trial{'s' * (len(imported) > 1)} of {name} in {out}, {state}; next: {after}")
@@ -141,8 +145,8 @@ def calibrate(
             print(path)
 
 
-def _summary(log: ImportedLog, nothing: str) -> str:
-    """Reading of a log in words, for the operator to check; `nothing` is why no estimate uses it, if none does."""
+def _summary(log: ImportedLog, unused: str) -> str:
+    """Content of a log in words, for the operator to check; `unused` is the reason why no estimate uses it."""
     from testbed.replay import Recording
 
     trajectory, facts = log.trajectory, log.trajectory.provenance
@@ -154,7 +158,7 @@ def _summary(log: ImportedLog, nothing: str) -> str:
         f"joints {facts['joints']}\n        drift: {facts['drift']}"
         + (f"\n        delay of the wrench: {facts['delay']}" if "delay" in facts else "")
         + (f"\n        left out of the wrench: {facts['left out']}" if "left out" in facts else "")
-        + (f"\n        no estimate uses it: {nothing}" if nothing else "")
+        + (f"\n        no estimate uses it: {unused}" if unused else "")
         + "".join(f"\n        replaces trial {key[:8]}" for key in log.replaced)
         + "".join(
             f"\n        trials/{key} is of another file of this name, and counts too: if it is the same recording, "
@@ -164,8 +168,8 @@ def _summary(log: ImportedLog, nothing: str) -> str:
     )
 
 
-def _shows_nothing(trajectory: Trajectory) -> str:
-    """Reason why a trial that is data has no window for an estimate; empty if it has one."""
+def _reason_unused(trajectory: Trajectory) -> str:
+    """Reason why a usable trial has no window for an estimate; empty if it has one."""
     from testbed.sensing.push_windows import window_samples
 
     if not trajectory.ok:
@@ -178,7 +182,7 @@ def _shows_nothing(trajectory: Trajectory) -> str:
 
 
 def _trials_named(folder: Path, row: Row, message: str) -> list[str]:
-    """Trials that a message names by their numbers, in words."""
+    """Descriptions of the trials that a message names by their numbers."""
     from scenarios.results.table import has_files
     from scenarios.results.trials import trials_behind, trials_in_words
     from scenarios.views.values import estimate_view

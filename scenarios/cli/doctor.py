@@ -1,4 +1,4 @@
-"""heft doctor: what is wrong with a setup, from how the trials of a folder disagree."""
+"""heft doctor: errors of a setup, diagnosed from how the trials of a folder disagree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scenarios.study.experiment import Progress
 
 MOST_LISTED = 8
-"""Causes in the table."""
+"""Number of causes in the table."""
 NOTHING = "no usable trial slides, turns or is pushed at constant speed"
 
 
@@ -52,20 +52,20 @@ def doctor(
     from viz.figures.maps import save_figure
 
     check_results(folder)
-    if not (every := load_rows(folder)):
+    if not (rows := load_rows(folder)):
         raise InvalidValueError("DIR", folder, "a results folder with estimates: heft run, heft touch or heft estimate")
-    done = [row for row in every if row.get("trial_keys") is not None]
+    done = [row for row in rows if row.get("trial_keys") is not None]
     known = list(dict.fromkeys(str(row["object"]) for row in done))
     for name in objects:
         if name not in known:
             raise InvalidValueError("OBJECT", name, f"one of {', '.join(known) or 'none: no estimate is done'}")
-    of_these = [row for row in done if not objects or row["object"] in objects]
-    console, asked = open_console(), set[tuple[str, ...]]()
-    for row in of_these:
+    chosen = [row for row in done if not objects or row["object"] in objects]
+    console, diagnosed = open_console(), set[tuple[str, ...]]()
+    for row in chosen:
         keys = (*row["trial_keys"], row["sensing"])
-        if keys in asked or row["seed"] != draw:
+        if keys in diagnosed or row["seed"] != draw:
             continue
-        asked.add(keys)
+        diagnosed.add(keys)
         with show_progress() as progress:
             title, trials, found = _diagnosed(folder, row, progress)
         console.print(f"{title}: {found if isinstance(found, str) else found.verdict}", style="bold")
@@ -78,15 +78,15 @@ def doctor(
             name = file_name(f"doctor_{row['object']}_{row['key'][:8]}")
             files = save_figure(diagnosis_figure(found, trials, title), inside(folder, "figures", name))
             console.print(f"figure: {files[0]}")
-    if not asked:
-        if draws := sorted({int(row["seed"]) for row in of_these}):
+    if not diagnosed:
+        if draws := sorted({int(row["seed"]) for row in chosen}):
             allowed = f"a draw that the folder has estimates of: {', '.join(map(str, draws))}"
             raise InvalidValueError("--draw", draw, allowed)
         raise InvalidValueError("DIR", folder, f"a folder with an answer; it has none (heft status {folder})")
 
 
 def _diagnosed(folder: Path, row: Row, progress: Progress) -> tuple[str, list[str], Diagnosis | str]:
-    """Title of an experiment, its trials in words, and their diagnosis, or why there is none."""
+    """Title of an experiment, its trials in words, and their diagnosis, or the reason why there is none."""
     from estimators.posterior.diagnosis import diagnose
     from scenarios.results.trials import trials_behind, trials_in_words
     from scenarios.views.values import estimate_view

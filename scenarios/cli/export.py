@@ -178,7 +178,7 @@ def _lifted(folder: Path, name: str | None, grasp: str | None, *, with_tool: boo
 
 
 def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
-    """Write a trial as MCAP, and beside it the mapping and the object file by which `heft import` reads it."""
+    """Write a trial as MCAP, with the mapping and the object file for `heft import` beside it."""
     from scenarios.results.files import inside
     from scenarios.results.trials import read_trial
     from scenarios.views.figures import file_name
@@ -213,7 +213,7 @@ def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:
 
 
 def _named_object(model: ObjectModel) -> tuple[str, str | None]:
-    """Name of an object for a mapping, and the object file that it needs beside it, as far as it can be written."""
+    """Name of an object for a mapping, and the text of its object file; None if it needs none, or cannot be written."""
     import numpy as np
 
     from testbed.errors import HeftError
@@ -273,7 +273,7 @@ def posterior_table(folder: Path, row: Row, count: int) -> pd.DataFrame:
 
 
 def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
-    """The object with the masses and frictions of each draw of a `posterior_table` in place of the estimate's."""
+    """Object with the masses and frictions of each draw of a `posterior_table` in place of the estimate."""
     from testbed.objects.model import MassDistribution
 
     shape = exported.shape
@@ -284,10 +284,10 @@ def drawn_from(exported: Exported, table: pd.DataFrame) -> Iterator[Exported]:
 
 
 def exported_of(folder: Path, row: Row) -> Exported:
-    """The masses of a row of the results, as they are exported, and the friction of hinges, estimated or the object's.
+    """Masses of a row of the results for export, and the friction of hinges, estimated or the object's.
 
     Raises:
-        InvalidValueError: it has no masses.
+        InvalidValueError: the estimate has no masses.
     """
     import numpy as np
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from testbed.trajectory import Trajectory
 
 FILM_S = 20.0
-"""Longest film where no speed is asked for [s]."""
+"""Longest film at the default speed [s]."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class RenderRequest:
 
 
 def render_trial(root: Path, beginning: str, request: RenderRequest, progress: Progress) -> tuple[Path, float]:
-    """Draw the trial whose key has this beginning, and write it where asked; gives the file and the film's speed.
+    """Render a trial by the beginning of its key; return the file and the speed of the film.
 
     Raises:
         InvalidValueError: no such trial, a trial where nothing moves, or options that do not fit.
@@ -94,14 +94,14 @@ def render_trial(root: Path, beginning: str, request: RenderRequest, progress: P
 
 
 def pace_of(trajectory: Trajectory, request: RenderRequest) -> float:
-    """Seconds of trial a second of film: as asked, or the least whole number whose film is no longer than FILM_S."""
+    """Seconds of trial per second of film: the requested ones, or the least whole number for at most FILM_S."""
     if request.speed is not None:
         return request.speed
     return float(max(1, math.ceil((trajectory.time_s[-1] - trajectory.time_s[0]) / FILM_S)))
 
 
 def _samples(trajectory: Trajectory, request: RenderRequest, pace: float) -> np.ndarray:
-    """Samples to draw, the nearest to each instant: all of a film at a pace, or the one of a picture at pace 0."""
+    """Indices of the samples to draw: those of a film at a pace, or the one of a picture at pace 0."""
     time = trajectory.time_s
     if pace:
         rate = request.fps / pace
@@ -146,7 +146,7 @@ def list_trials(root: Path) -> Table:
 
 
 def _line_of(key: str, content: dict[str, Any]) -> tuple[str, ...]:
-    """A trial's key, object, support, grasp, action and status, as far as its file has them."""
+    """Key, object, support, grasp, action and status of a trial; "?" where its file lacks them."""
     from scenarios.results.trials import OTHER_FORMAT
 
     try:
@@ -188,7 +188,7 @@ def watch(
 
 
 def watch_live(name: str, action: str, grasp: str | None, support: str | None) -> None:
-    """Simulate a trial in a window, and say what it came to when the window is closed.
+    """Simulate a trial in a window, and print its outcome when the window is closed.
 
     Raises:
         NoGraphicsError: no window can be opened.
@@ -236,7 +236,7 @@ def watch_record(root: Path, beginning: str) -> None:
 
 
 def grasp_index(shape: ObjectShape, name: str | None) -> int:
-    """Index of a grasp by its name; the first where none is named."""
+    """Index of a grasp by its name; the first by default."""
     names = [grasp.name for grasp in shape.grasps]
     if name is None and names:
         return 0

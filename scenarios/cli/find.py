@@ -27,10 +27,10 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
     """Print the segments of recordings, and write the mapping with a [[logs]] table for each action.
 
     Returns:
-        True if all logs could be read; the others are named at the end.
+        True if all logs could be read; the others are named on stderr.
 
     Raises:
-        HeftError: no log is what it should be.
+        HeftError: no log could be read, or the mapping or its *.found.toml is not as needed.
     """
     table = load_toml(mapping, Mapping)
     if table.logs or not logs:
@@ -46,7 +46,7 @@ def show_found(mapping: Path, logs: Sequence[Path], grasps: Sequence[str]) -> bo
             failed.append(placed_in(str(log), error))
             continue
         console.print(_table(log, found))
-        known &= _say_grasps(found)
+        known &= _check_grasps(found)
         text += "".join(_entries(os.path.relpath(log, mapping.parent), found, table.hand.closing_deg))
     if len(failed) == len(logs):
         raise LogError("\n".join(map(str, failed)))
@@ -98,7 +98,7 @@ def _kind(segment: Segment) -> str:
 
 
 def _extent(segment: Segment) -> tuple[str, str]:
-    """Speed, and angle or way, as people say them."""
+    """Speed, and angle or distance, as text."""
     action = segment.action
     assert action is not None
     first = action.steady[0]
@@ -112,8 +112,8 @@ def _extent(segment: Segment) -> tuple[str, str]:
     return f"{math.degrees(abs(first.speed)):.1f} deg/s", f"{math.degrees(abs(first.speed) * first.seconds):.0f} deg"
 
 
-def _say_grasps(found: Sequence[Segment]) -> bool:
-    """True if every grasp is known; else what to do is printed."""
+def _check_grasps(found: Sequence[Segment]) -> bool:
+    """True if every grasp is known; otherwise print what to do."""
     actions = [segment for segment in found if segment.held]
     if all(len(action.grasps) == 1 for action in actions):
         return True
@@ -129,15 +129,15 @@ def _say_grasps(found: Sequence[Segment]) -> bool:
 
 
 def _entries(file: str, found: Sequence[Segment], closing_deg: float) -> Iterator[str]:
-    """[[logs]] tables of the actions. One whose motion or tare heft import would not find has its [[phases]]."""
+    """[[logs]] tables of the actions, with `phases` where heft import would not find the motion or tare."""
     for segment in found:
         action = segment.action
         if action is None:
             continue
-        said = {name: value for name, value in action.to_dict().items() if value is not None}
+        table = {name: value for name, value in action.to_dict().items() if value is not None}
         if not action.pushes:
-            said["grasp"] = segment.grasps[0] if segment.grasps else 0
-        line = toml_text({"action": [said]}).strip().removeprefix("action = [").removesuffix("]")
+            table["grasp"] = segment.grasps[0] if segment.grasps else 0
+        line = toml_text({"action": [table]}).strip().removeprefix("action = [").removesuffix("]")
         times = {"file": file, "from_s": segment.trial[0], "to_s": segment.trial[1]}
         times |= {"closing_deg": closing_deg + 180.0} if segment.flipped else {}
         text = f"\n[[logs]]\n{toml_text(times)}action = {line}\n"

@@ -1,4 +1,4 @@
-"""The heft command: a table of its commands. Only the module of the one that is called is imported."""
+"""The heft command: a table of its subcommands. Only the module of the called one is imported."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ COMMANDS = {
     "robot trial": ("scenarios.cli.robot.trial:trial", "Run one trial on the real arm and store it."),
     "robot verify": ("scenarios.cli.robot.check:verify", "Test the sensor's sign, rotation and zero with trials."),
 }  # fmt: skip
-"""Function of each command, and its line in `heft --help`."""
+"""Path of the function of each command, and its line in `heft --help`."""
 GROUPS = {
     "benchmark": "A benchmark with hidden truth: make it, and answer it with heft's methods or your own.",
     "robot": "The real robot: check, sensor, calibration, trials, verification.",
@@ -65,7 +65,7 @@ ABOUT = "What can a robot learn about an object's mass distribution from the wre
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: 0 done, 1 some trials or estimates failed, 2 a wrong argument or file, 130 or 143 stopped."""
+    """Run heft. Exit codes: 0 done, 1 failed trials or estimates, 2 a wrong argument or file, 130 or 143 stopped."""
     arguments = sys.argv[1:] if arguments is None else arguments
     print_damage_plainly()
     if hidden := hidden_package():
@@ -112,7 +112,7 @@ def _terminate(*_: object) -> None:
 
 
 def command() -> None:
-    """Console command: `main`, ended though a plug-in leaves threads behind."""
+    """Console command: run `main`, and exit even if a plug-in leaves threads running."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # problems are small: threads take longer than they save
     code: Any = 0
     signal.signal(signal.SIGTERM, _terminate)
@@ -136,12 +136,12 @@ def command() -> None:
 
 
 def _discard_output() -> None:
-    """Write no further output: its reader has closed the pipe, as in `heft ... | head`."""
+    """Discard further output, whose reader has closed the pipe, as in `heft ... | head`."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def commands_of(arguments: Sequence[str]) -> dict[str, Callable[..., None]]:
-    """Functions of all commands, by their first word: the one that is called, and placeholders for the others."""
+    """Functions of all commands by their first word: the called one, and placeholders for the others."""
     words = [word for word in arguments if not word.startswith("-")]
     completion = any(word.startswith("--tyro-") for word in arguments)  # a shell's completion knows every option
     functions: dict[str, Callable[..., None]] = {}
@@ -172,7 +172,7 @@ def overview() -> str:
 
 
 def load(path: str) -> Callable[..., None]:
-    """Function behind "module:name", whose help leaves out defaults of None, False and no values."""
+    """Function at "module:name", whose help omits defaults of None, False and empty tuples."""
     module, name = path.split(":")
     function = getattr(import_module(module), name)
     hints = get_type_hints(function, include_extras=True)
@@ -181,7 +181,7 @@ def load(path: str) -> Callable[..., None]:
 
 
 def _hinted(hint: Any) -> Any:
-    """Type of an option whose help has the default by `default_hint`, and no None among its choices."""
+    """Annotation of an option whose help has its default by `default_hint`, and no None among its choices."""
     from scenarios.cli.terminal import default_hint
 
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
@@ -198,7 +198,7 @@ def _placeholder(line: str) -> Callable[[], None]:
 
 
 def _group(functions: Mapping[str, Callable[..., None]], line: str) -> Callable[..., None]:
-    """A command whose second word chooses one of these functions."""
+    """Command whose second word selects one of these functions."""
     choices: list[Any] = [Annotated[None, tyro.conf.subcommand(name=n, constructor=f)] for n, f in functions.items()]
 
     def group(task: None) -> None: ...

@@ -1,4 +1,4 @@
-"""heft identify, heft plan: what trials of an object would show of its masses, and which show most in little time."""
+"""heft identify and heft plan: expected errors of masses by given trials, and plans of informative trials."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from viz.values import PlanView
 
 MOST_REJECTED = 5
-"""Refusals that are printed."""
+"""Number of refusals that are printed."""
 MOST_NAMED = 3
-"""Groups that a row of the table names."""
+"""Number of groups that a row of the table names."""
 
 
 def identify(
@@ -114,13 +114,10 @@ def actions_of(
     duration: float = 18.0,
     grasps: tuple[str, ...] | None = None,
 ) -> list[Action]:
-    """A weighing, the rank-driven policy's actions, slides in spread directions, lifts and random pushes.
+    """Weighing, actions of the rank-driven policy, slides in spread directions, lifts and random pushes.
 
-    Of an object in links random turns one way and slides, at constant speed.
-
-    Arguments are as `identify` has them.
-
-    Lifts are of the grasps nearest the middle, where the object hangs by its weight with the least moment.
+    An object with hinges gets random one-way turns and slides at constant speed. Lifts use the grasps nearest the
+    middle, where the weight of the object has the least moment. Arguments are those of `identify`.
 
     Raises:
         InvalidValueError: a grasp that the object does not have, or a count that is not allowed.
@@ -225,7 +222,7 @@ class Search:
 
 
 PLANNED = Search()
-"""Options of a plan where none is given."""
+"""Default options of a plan."""
 
 
 def plan(
@@ -302,10 +299,10 @@ def plan(
 
 
 def carrier_of(model: ObjectModel, assumed_support: str | None) -> str:
-    """Assumed support by name, by default that of the object.
+    """Name of the assumed support, by default the object's.
 
     Raises:
-        InvalidValueError: another one than own weight for an object with hinges.
+        InvalidValueError: another support than own weight for an object with hinges.
     """
     from testbed.trial import support_of
 
@@ -383,7 +380,7 @@ def _grams(mass: float) -> str:
 
 
 def _conclusion(shape: ObjectShape, made: Plan, guess: Guess, goal: Goal) -> Iterator[str]:
-    """Lines on how the plan ends, what it leaves open, and what is not feasible."""
+    """Lines on the end of the plan, what it leaves open, and what is not feasible."""
     from estimators.identifiability.information import expected
 
     nad = f"{100 * made.after.expected_nad:.3g} %"

@@ -1,4 +1,4 @@
-"""heft run, heft status: run a scenario, with progress while it runs, and see how far a results folder is."""
+"""heft run and heft status: run a scenario with a display of progress, and show the state of a results folder."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ NOTES = (
     "what is left is the error of sensor and model. _M: given M; _cov: errors weighed by their covariance."
 )
 OWN_ERROR = f"{HeftError.__module__}.{HeftError.__name__}: "
-"""Beginning of the last line of a traceback that says nothing more."""
+"""Prefix of the last line of a traceback, which adds nothing to the message."""
 FRAME, SCREEN = 5, 20
 """Lines around the rows of a table, and those of a screen for all tables."""
 MOST_LINES = 20
-"""Failures that are listed; the report has them all."""
+"""Number of failures that are listed; the report has them all."""
 EVERY_S = 10.0
 """Time between two plain lines of progress [s]."""
 
@@ -162,9 +162,9 @@ def run(
 
 
 def say_failures(folder: Path, results: Sequence[Row]) -> bool:
-    """Print the estimates without masses, by method and reason; True if none of them is a failure.
+    """Print the estimates without masses, by method and reason; return True if none of them is a failure.
 
-    Where trials are simulated, an object that slips in all of them is a result too.
+    An estimate without data, as of an object that slips in all trials, is no failure if the method answers elsewhere.
     """
     from estimators.base import NO_MASSES
     from scenarios.results.estimates import load_tracebacks
@@ -180,7 +180,7 @@ def say_failures(folder: Path, results: Sequence[Row]) -> bool:
 
 
 def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]) -> None:
-    """Print NAD by object where that fits on a screen, else its median over objects; the report has all else."""
+    """Print the NAD by object where that fits on a screen, otherwise its median over objects."""
     from estimators.evaluation.statistics import FEWEST
     from viz.report.tables import NAD, metric_table, overview, points_of
     from viz.report.terminal import fits, rich_table
@@ -198,7 +198,7 @@ def show_main_table(console: Console, scenario: Scenario, results: Sequence[Row]
 
 
 def _settings(scenario: Scenario, results: Sequence[Row]) -> list[tuple[str, Sequence[Row]]]:
-    """Rows under each support and sensing, with these in words."""
+    """Name and rows of each pair of support and sensing."""
     from estimators.evaluation.statistics import select
     from viz.values import support_name
 
@@ -248,7 +248,7 @@ def show_tables(console: Console, scenario: Scenario, results: Sequence[Row]) ->
 
 
 def _many(results: Sequence[Row]) -> bool:
-    """True if there are too many for a column each: quantiles are printed then."""
+    """True if there are swept axes, or too many objects for a column each: quantiles are printed then."""
     from estimators.evaluation.statistics import axes_of
     from viz.report.tables import MOST_OBJECTS
 
@@ -296,7 +296,7 @@ def _state(manifest: dict[str, Any], *, running: bool) -> str:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show how far a run is, its throughput and the time left."""
+    """Show the progress of a run, its throughput and the time left."""
     console = open_console()
     if console.is_terminal:
         with Bars(
@@ -316,13 +316,13 @@ def show_progress() -> Iterator[Progress]:
 
 
 class _Stages:
-    """Start and first count of each stage: what is there from an earlier run is no throughput."""
+    """Start and first count of each stage: results of an earlier run do not count as throughput."""
 
     def __init__(self) -> None:
         self._begun: dict[str, tuple[float, int]] = {}
 
     def rate(self, stage: str, done: int) -> float:
-        """Number done a second since the stage began; 0 where nothing is known yet."""
+        """Number done per second since the stage began; 0 during its first half second."""
         since, first = self._begun.setdefault(stage, (time.monotonic(), done))
         seconds = time.monotonic() - since
         return (done - first) / seconds if seconds > 0.5 else 0.0

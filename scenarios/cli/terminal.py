@@ -1,4 +1,4 @@
-"""The terminal: a console as wide as it is, numbers as they are typed, and an orderly end."""
+"""Terminal: consoles and tables, parsing of typed numbers, and cleanup on signals."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from rich.table import Column, Table
 from testbed.errors import InvalidValueError
 
 WIDE = 120
-"""Columns where there is no terminal: in a pipe, a file, a log."""
+"""Width without a terminal: in a pipe, a file, a log [columns]."""
 
 
 def open_console() -> Console:
-    """A console as wide as the terminal, or as COLUMNS says; WIDE where there is neither."""
+    """Console as wide as the terminal or COLUMNS; WIDE where there is neither."""
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
     # An error, a path or a name may hold [brackets]; rich would take them for its markup
     return Console(width=None if known else WIDE, markup=False, highlight=False)
 
 
 def open_table(*columns: str, left: Collection[str] = (), no_wrap: bool = False, **look: Any) -> Table:
-    """Empty table, its columns to the right but for those named in `left`; `look` as rich's `Table` takes it."""
+    """Empty table, aligned right except for the columns in `left`; `look` are arguments of rich's `Table`."""
     heads = [Column(name, justify="left" if name in left else "right", no_wrap=no_wrap) for name in columns]
     return Table(*heads, **look)
 
 
 def default_hint(default: str) -> str:
-    """Text of a default in an option's help; empty for None, False and no values."""
+    """Text of a default in an option's help; empty for None, False and empty tuples."""
     return "" if default in ("None", "False", "") else f"(default: {default})"
 
 
 @contextmanager
 def orderly_end() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end the block as an exception does, so that what it has opened is closed."""
+    """Let SIGTERM and SIGHUP raise SystemExit in the block, so that it closes its files and processes."""
 
     def end(number: int, _: object) -> None:
         for name in earlier:
@@ -55,7 +55,7 @@ def orderly_end() -> Iterator[None]:
 
 
 def percent(text: str | None, name: str) -> float | None:
-    """ "5%" as a part of 1; None stays None.
+    """ "5%" as a fraction; None stays None.
 
     Raises:
         InvalidValueError: no percent sign, or not between 0 and 100 %.

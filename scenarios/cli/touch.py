@@ -1,4 +1,4 @@
-"""`heft touch`: an active run in simulation, until the masses are known as well as they can be."""
+"""heft touch: an active run in simulation, until the masses are known."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from testbed.trajectory import Trajectory
 
 MOST_REJECTED = 3
-"""Refusals that are printed."""
+"""Number of refusals that are printed."""
 
 
 TOUCHED = Search(until="5%", most=20, assumed_support="either")
-"""Options of an active run where none is given."""
+"""Default options of an active run."""
 
 
 def touch(
@@ -122,7 +122,7 @@ def touch(
 
 
 def _command(object_: str, search: Search, support: str | None, out: Path | None) -> str:
-    """Command line that runs this again: the object, and the options that are not left at their default."""
+    """Command line that repeats the run: the object, and the options that differ from their defaults."""
     from scenarios.study.run import command_words
 
     given = {name: value for name, value in vars(search).items() if value != getattr(TOUCHED, name)}
@@ -130,7 +130,7 @@ def _command(object_: str, search: Search, support: str | None, out: Path | None
 
 
 def _conclusion(model: ObjectModel, result: ActiveResult, goal: Goal) -> Iterator[str]:
-    """Lines on how the run ends, what the masses are, whether they can be trusted, and what stays unknown."""
+    """Lines on the end of the run, the masses, their reliability, and what stays unknown."""
     from estimators.particles.misfit import UNEXPLAINED
 
     last, row, answer = result.last, result.row, result.last.estimate

@@ -1,4 +1,4 @@
-"""Commands that show what is there: results in the viewer, on paper and as recordings; the libraries on a terminal."""
+"""Commands that show results in the viewer, as recordings, figures and films, and list the libraries."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def view(
 
 
 def _open_viewer(folder: Path, what: tuple[str, ...], port: int, *, web: bool) -> None:
-    """Open a window, or serve a browser until it is interrupted."""
+    """Open a window, or serve a browser until an interrupt."""
     import tempfile
 
     from scenarios.views.pages import page_of
@@ -140,7 +140,7 @@ def _draw_figures(folder: Path, what: tuple[str, ...]) -> None:
 
 
 def _draw_films(folder: Path, what: tuple[str, ...], options: RenderRequest) -> None:
-    """Draw films or pictures of trials; list the trials where none is named."""
+    """Draw films or pictures of trials; list the trials by default."""
     from scenarios.cli.film import list_trials, render_trial
     from scenarios.cli.run import show_progress
 
@@ -243,7 +243,7 @@ def show(
 
 
 def _write_pads(model: ObjectModel, folder: Path) -> Iterator[str]:
-    """Write a file for each kind of pad; a line for each with its size, its mass in PLA, and the groups it is for."""
+    """Write a file for each kind of pad; yield a line with its size, its mass in PLA, and its groups."""
     from testbed.files import write_whole
     from testbed.objects.export import Pad
 
@@ -260,7 +260,7 @@ def _write_pads(model: ObjectModel, folder: Path) -> Iterator[str]:
 
 
 def _show_blocks(console: Console, model: ObjectModel) -> None:
-    """An object of blocks: its drawing, its blocks and where they are gripped."""
+    """Print an object of blocks: drawing, blocks and grasps."""
     shape = model.shape
     console.print(drawing(model))
     table = open_table("block", "x, mm", "y, mm", "mass, kg", "friction", "gripped across")
@@ -277,7 +277,7 @@ def _show_blocks(console: Console, model: ObjectModel) -> None:
 
 
 def _show_solids(console: Console, model: ObjectModel) -> None:
-    """An object of meshes: its particles as a map, its mass groups, its grasps."""
+    """Print an object of meshes: map of particles, mass groups and grasps."""
     shape = model.shape
     console.print(particle_map(model))
     groups = open_table("group", "on the map", "mass, kg", "particles", "touching", "friction")
@@ -297,7 +297,7 @@ def _show_solids(console: Console, model: ObjectModel) -> None:
 
 
 def _show_hinges(console: Console, model: ObjectModel) -> None:
-    """Hinges of an object in links: what each joins, and its friction; nothing of a rigid one."""
+    """Print the hinges of an object, their links and friction; nothing for a rigid object."""
     chain, names = model.shape.chain, np.array(model.shape.group_names)
     if chain is None:
         return
@@ -328,7 +328,7 @@ def _letter(group: int) -> str:
 
 
 def particle_map(model: ObjectModel) -> str:
-    """Particles seen from above: a letter per mass group, a capital where the particle touches the table."""
+    """Map of the particles from above: a letter per mass group, a capital where a particle touches the table."""
     shape = model.shape
     low = shape.particles[~shape.is_contact].min(axis=0)
     column, row = np.maximum(np.round((shape.particles - low) / shape.cell), 0).astype(int).T
@@ -340,7 +340,7 @@ def particle_map(model: ObjectModel) -> str:
 
 
 def drawing(model: ObjectModel) -> str:
-    """Groups as a map of their masses, in grams, top row first; of their names where masses are not given."""
+    """Map of the groups, top row first: their masses in grams, or their names where masses are not given."""
     shape = model.shape
     centers = np.array([shape.particles[shape.mass_group == g].mean(axis=0) for g in range(shape.n_m)])
     side = shape.cell * np.sqrt(np.bincount(shape.mass_group[shape.cells]).max())

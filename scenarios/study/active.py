@@ -30,7 +30,7 @@ from testbed.trial import Support, Trial
 METHOD = "support_aware"
 """Method of the answer: Algorithm 1 where every group rests on its own weight, else what physics allows."""
 OnTrial = Callable[[int, Trajectory, Decision, float], None]
-"""Call after each trial with its number, its record, the decision after it, and the robot time so far [s]."""
+"""Callback after each trial: its number, its record, the decision after it, and the robot time so far [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class ActiveRun:
     """Seed of the sensor's errors and of the candidates."""
 
     def carry_out(self, on_trial: OnTrial, on_weight: Callable[[float], None]) -> ActiveResult:
-        """Weigh, then choose and simulate trials until the policy wants no more, and estimate from all of them.
+        """Weigh, then choose and simulate trials until the policy ends, and estimate from all of them.
 
         Args:
             on_trial: called after each trial.
@@ -101,7 +101,7 @@ class ActiveRun:
                 refused[decision.action] = redacted(str(error))
 
     def _simulated(self, action: Action) -> str:
-        """Key of the trial, which is kept."""
+        """Simulate and store a trial; return its key."""
         return simulate(Trial(self.model, action, self.support), SimulationSettings(), self.store)
 
     def _measured(self, keys: list[str]) -> list[Trajectory]:

@@ -64,30 +64,30 @@ class DryRun:
         has_links = lru_cache(maxsize=None)(lambda path: load_object(path).shape.chain is not None)
         objects = {name for _, point in points for name in point.all_objects()}
         experiments = trials = estimates = 0
-        seconds, unknown, made = 0.0, dict[str, None](), set[str]()
+        seconds, unknown, counted = 0.0, dict[str, None](), set[str]()
         for _, point in points:
-            here = len(point.all_objects()) * len(point.support)
+            pairs = len(point.all_objects()) * len(point.support)
             linked = sum(map(has_links, point.objects))
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             kinds = {label: kind_of(label, settings) for label, settings in point.methods.items()}
             unknown |= {label: None for label, kind in kinds.items() if kind not in METHODS}
             stated = not point.world.build().none
-            each = sum(JUDGED_S + ESTIMATE_S.get(kind, OTHER_S)[stated] for kind in kinds.values() if kind in METHODS)
-            in_order = here * len(point.own_draws())
-            experiments += in_order
-            estimates += here * draws * len(point.methods)
-            seconds += (here + (LINKED - 1) * linked * len(point.support)) * draws * each
-            if (decides := _of_trials(point)) not in made:
-                made.add(decides)
-                trials += in_order * point.policy.expected_trials
-                seconds += in_order * point.policy.expected_trials * TRIAL_S
+            draw_s = sum(JUDGED_S + ESTIMATE_S.get(kind, OTHER_S)[stated] for kind in kinds.values() if kind in METHODS)
+            here = pairs * len(point.own_draws())
+            experiments += here
+            estimates += pairs * draws * len(point.methods)
+            seconds += (pairs + (LINKED - 1) * linked * len(point.support)) * draws * draw_s
+            if (fields := _fields_of_trials(point)) not in counted:
+                counted.add(fields)
+                trials += here * point.policy.expected_trials
+                seconds += here * point.policy.expected_trials * TRIAL_S
                 if point.policy.kind == "online":
-                    seconds += in_order * point.policy.touches * DECISION_S
+                    seconds += here * point.policy.touches * DECISION_S
         return DryRun(len(objects), len(points), experiments, trials, estimates, seconds, tuple(unknown))
 
 
-def _of_trials(point: Scenario) -> str:
-    """Fields of a scenario that decide its trials, as text: of two points with the same, one's are the other's."""
+def _fields_of_trials(point: Scenario) -> str:
+    """Fields of a scenario that determine its trials, as text; points of the same text share their trials."""
     fields = point.model_dump(mode="json", exclude={"methods", "sweep"})
     if not point.truth.friction_spread:
         fields["truth"].pop("seed")
@@ -100,11 +100,11 @@ def _of_trials(point: Scenario) -> str:
 
 
 def check_code(scenario: Scenario, *, foreign: bool = True) -> None:
-    """Check that every class which the scenario names, at any point of its sweep, can be used: import it, set it up.
+    """Import and configure every class that a scenario names at any point of its sweep.
 
     Args:
-        scenario: what is to run.
-        foreign: also those of other packages: methods, policy, runner.
+        scenario: scenario to check.
+        foreign: include the classes of other packages: methods, policy, runner.
 
     Raises:
         HeftError: no such class, a setting that it refuses, or a package that it lacks.
@@ -127,7 +127,7 @@ def in_words(seconds: float) -> str:
 
 
 def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: int) -> None:
-    """Print how many trials and estimates there are, and how long they take; nothing is run, imported or written.
+    """Print the number of trials and estimates and the time that they take; nothing is run, imported or written.
 
     Raises:
         HeftError: an object that cannot be read or has links that the policy cannot handle, or a method that lacks a
@@ -153,7 +153,7 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
     on = max(workers, 1)
     console.print(
         f"about {in_words(size.seconds / on)} on {on} worker(s), {in_words(size.seconds)} of computing; into "
-        f"{folder}/, where what is done already is not done again",
+        f"{folder}/, where finished trials and estimates are kept",
     )
     if size.unknown:
         console.print(f"without the estimates by {', '.join(size.unknown)}, whose time is not known")

@@ -1,4 +1,4 @@
-"""Estimates of a scenario: every method gets the same trials, and is held against the truth."""
+"""Estimates of a scenario: every method gets the same trials, and is compared with the truth."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ MOST_PARTICLES = 1000
 
 @dataclass(eq=False)
 class EstimateRun:
-    """Estimates of some experiments by every method and sensing, each from when its experiment's trials are there."""
+    """Estimates of experiments by every method and sensing, started as soon as the trials of an experiment exist."""
 
     experiments: Sequence[Experiment]
     store: Store
     table: ResultTable
-    """Receives a row per draw that is done."""
+    """Receives a row for each draw."""
     executor: Executor
     progress: Progress
     on_result: ResultCallback | None = None
@@ -56,12 +56,12 @@ class EstimateRun:
     total: int = field(init=False)
     """Estimates of all experiments."""
     waiting: deque[list[_Draw]] = field(default_factory=deque)
-    """Batches of draws whose trials are there: of one object by one method that has `estimate_many`, or of one draw."""
+    """Batches of draws to start: draws of one object for a method with `estimate_many`, otherwise single draws."""
     _open: dict[str, dict[str, list[_Draw]]] = field(default_factory=dict)
-    """Batches that more draws can join, by object and method: kept until the last trial of the object is there."""
+    """Incomplete batches by object and method, open until the last experiment of the object is added."""
     _objects: dict[Experiment, str] = field(init=False)
     _left: Counter[str] = field(init=False)
-    """Experiments of each object that are still to come."""
+    """Number of experiments of each object that are not yet added."""
     _index: dict[Experiment, int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class EstimateRun:
         self.total = sum(len(task.seeds) for each in self.experiments for _, task in self._tasks(each))
 
     def add(self, experiment: Experiment) -> None:
-        """Take an experiment whose trials are there, or that has failed."""
+        """Add an experiment whose trials exist, or that has failed."""
         of_object = self._objects[experiment]
         batches = self._open.setdefault(of_object, {})
         for place, task in self._tasks(experiment):
@@ -96,7 +96,7 @@ class EstimateRun:
             self.waiting.extend(sorted(left, key=lambda batch: batch[0][1].kind != "diff_lcp"))  # the slowest first
 
     def start(self) -> bool:
-        """Start the next estimates; False where none wait."""
+        """Start the next batch; False where none waits."""
         if not self.waiting:
             return False
         batch = self.waiting.popleft()
@@ -112,14 +112,14 @@ class EstimateRun:
                     yield (s, m, index), EstimateTask.of(experiment, sensing, method)
 
     def _take(self, batch: list[_Draw], value: Failure | None) -> None:
-        """Take the end of a batch; of one that failed each draw is begun again by itself."""
+        """Store the outcome of a batch; the draws of a failed batch are started again one by one."""
         if isinstance(value, Failure) and len(batch) > 1:
             self.waiting.extendleft([draw] for draw in reversed(batch))
             return
         for draw in batch:
             place, task, key = draw
             if isinstance(value, Failure):
-                for trial in task.keys + task.held_out:  # the next run reads them again: they may be why
+                for trial in task.keys + task.held_out:  # one of them may be damaged: the next run reads them again
                     self.table.marks.pop(f"trials/{trial}", None)
                 self.store.put_error("estimates", key, value.detail)
                 self._put(draw, _failed(place[-1], value.reason))
@@ -150,11 +150,11 @@ NO_ANSWER = {
     "optimizer": "",
     "loss": math.nan,
 }
-"""Columns of an answer, in a row without one."""
+"""Columns of an answer, for a row without an answer."""
 NOT_RUN = dict.fromkeys(("rollouts", "seconds", "trials", "robot_s", "weight_kg"), math.nan) | dict.fromkeys(
     ("group_names", "true_mass_kg", "true_hinge_Nm", "key", "trial_keys", "held_out_keys")
 )
-"""Further columns, in a row of an estimate that did not come to an end."""
+"""Further columns, for a row of an estimate that did not finish."""
 
 
 def _failed(seed: int, why: str) -> dict[str, Any]:
@@ -180,7 +180,7 @@ class EstimateTask:
     """Label of the method."""
     settings: dict[str, Any]
     reference: bool
-    """True if the row says how the truth itself predicts the held-out turns: once is enough for all methods."""
+    """True if the row has the prediction of the held-out turns by the truth: the first method's rows have it."""
 
     @staticmethod
     def of(experiment: Experiment, sensing: str, method: str) -> EstimateTask:
@@ -239,14 +239,14 @@ class EstimateTask:
 def estimate(draws: Sequence[tuple[EstimateTask, int, str]], store: Store) -> None:
     """Worker's task: the estimates of some draws of one object by one method: task, seed and content key of each."""
     trials = [sensed_trials(store, task.keys + task.held_out, task.sensing, seed) for task, seed, _ in draws]
-    seen = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
+    inputs = [drawn[: len(task.keys)] for drawn, (task, _, _) in zip(trials, draws, strict=True)]
     task = draws[0][0]
     truth = _kept(_ByContent(key_of(object_request(task.truth)), task.truth))
     with nullcontext() if task.kind in METHODS else printing_into(store.log(task.method)):
-        weights, moved = [weight_of(trials[0]) for trials in seen], [trials[1:] for trials in seen]
+        weights, moved = [weight_of(given[0]) for given in inputs], [given[1:] for given in inputs]
         seeds = [seed for _, seed, _ in draws]
         answers = judged_answers(task.method, task.settings, truth.shape, weights, moved, seeds)
-    for (task, seed, key), drawn, given, answer in zip(draws, trials, seen, answers, strict=True):
+    for (task, seed, key), drawn, given, answer in zip(draws, trials, inputs, answers, strict=True):
         labels = task.labels | {"trial_keys": list(task.keys), "held_out_keys": list(task.held_out)}
         judged = judge(truth, answer, given, drawn[len(given) :], task.true_support)
         store.put_estimate(key, {"seed": seed} | labels | judged, answer, truth.shape)
@@ -263,13 +263,13 @@ class _ByContent:
 
 @lru_cache(maxsize=8)
 def _kept(given: _ByContent) -> ObjectModel:
-    """One model for all tasks on an object: each brings a copy, and results are cached by the shape itself."""
+    """Model shared by all tasks on an object: each task has a copy, and caches are keyed by the shape's identity."""
     return given.model
 
 
 @contextmanager
 def printing_into(path: Path) -> Iterator[None]:
-    """Output of another package's code into the end of a file: not among the tables, and kept in a crash."""
+    """Append the output of another package's code to a file, apart from the tables and safe in a crash."""
     path.parent.mkdir(exist_ok=True)
     with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
         yield
@@ -277,7 +277,7 @@ def printing_into(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _restored() -> Iterator[None]:
-    """State of the process as it was, for the estimates after this one: a method may have changed it."""
+    """Restore the state of the process at the end, which a method may have changed, for later estimates."""
     folder, environment, dtype, errors = Path.cwd(), dict(os.environ), torch.get_default_dtype(), np.geterr()
     try:
         yield
@@ -308,7 +308,7 @@ def judged_answers(
         seeds: seed of each draw.
 
     Raises:
-        HeftError: the method raised an error, or an answer is none for this object.
+        HeftError: the method raised an error, or an answer does not fit the object.
     """
     method: Any = build_method(label, settings)
     called = f"{kind_of(label, settings)}.estimate{'_many' if len(moved) > 1 else ''}()"
@@ -331,17 +331,17 @@ def infeasible_row(experiment: InfeasibleExperiment) -> tuple[dict[str, Any], di
 
 
 def _unusable(trials: Sequence[Trajectory]) -> str:
-    """Number of trials that are no data, by status, for the end of a message; empty where all are ok."""
+    """Numbers of unusable trials by status, for the end of a message; empty where all are ok."""
     amiss = tally(trial.status for trial in trials)
     return f" (of {len(trials)} trials: {amiss})" if amiss else ""
 
 
 def judge(
-    truth: ObjectModel, answer: Estimate, seen: list[Trajectory], held_out: list[Trajectory], true_support: str | None
+    truth: ObjectModel, answer: Estimate, given: list[Trajectory], held_out: list[Trajectory], true_support: str | None
 ) -> dict[str, Any]:
-    """Row of an estimate: its errors against the truth, if it is known, and against turns that it has not seen.
+    """Row of an estimate: its errors against the truth, if known, and of its prediction of the held-out turns.
 
-    With `true_support`, also how the truth itself predicts those turns: it is the same for every method.
+    With `true_support`, also the errors of the prediction by the truth, which are the same for every method.
     """
     shape = truth.shape
     support = true_support if truth.masses_known else None
@@ -350,15 +350,15 @@ def judge(
         NO_ANSWER
         | {
             "status": answer.status,
-            "message": answer.message + (_unusable(seen) if answer.status == "no_data" else ""),
+            "message": answer.message + (_unusable(given) if answer.status == "no_data" else ""),
             "assumes": answer.assumes,
             "mpd_of_truth_m": math.nan if best is None else best.end,
             "mpd_open_loop_of_truth_m": math.nan if best is None else best.open_loop,
             "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
             "seconds": answer.seconds,
-            "trials": len(seen),
-            "robot_s": robot_seconds(seen),
-            "weight_kg": weight_of(seen[0]),
+            "trials": len(given),
+            "robot_s": robot_seconds(given),
+            "weight_kg": weight_of(given[0]),
             "group_names": list(shape.group_names),
             "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,
             "true_hinge_Nm": list(truth.hinge_friction) or None,

@@ -1,4 +1,4 @@
-"""Experiments of a scenario: one object under one support at one point of the sweep, and the trials it asks for."""
+"""Experiments of a scenario: one object under one support at one point of the sweep."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ ResultCallback = Callable[[str, str], None]
 
 
 class Progress(Protocol):
-    """Receives how far a run is."""
+    """Callback for the progress of a run."""
 
     def __call__(self, stage: str, done: int, total: int, failed: int = 0) -> None:
-        """Stage (objects, trials or estimates), and how many are done, expected in all, and failed."""
+        """Take a stage (objects, trials or estimates) and its numbers: done, expected in total, and failed."""
         ...
 
 
 @dataclass(eq=False)
 class Experiment:
-    """One object under one support: its trials are those that the policy chooses, one after the other.
+    """One object under one support, with trials that the policy chooses one after the other.
 
-    Most policies see the physics alone, and all draws of all sensors share an experiment. Where each action follows
-    from the measured wrenches, or each draw has its own choice, an experiment belongs to one draw.
+    All draws of all sensors share an experiment, unless the measured wrenches decide the actions or each draw has its
+    own choice: then an experiment belongs to one draw.
     """
 
     scenario: Scenario
@@ -60,19 +60,19 @@ class Experiment:
     """Grasps that may be used."""
     policy: ActionPolicy
     turns: tuple[Rotate, ...]
-    """Turns for prediction, which no method is given."""
+    """Turns for prediction, hidden from every method."""
     refused: dict[Action, str] = field(default_factory=dict)
-    """Actions that were refused when they were run, without numbers, for the policy, which then chooses another."""
+    """Reasons of refused actions, without numbers, for the policy, which then chooses another."""
     weighed: list[float] = field(default_factory=list)
-    """Reading of the scale [kg], as the policy has it."""
+    """Reading of the scale [kg] for the policy; empty before the weighing."""
     keys: list[str] = field(default_factory=list)
     """Keys of the trials made so far, the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)
     """Keys of the turns made for prediction."""
     trajectories: list[Trajectory] = field(default_factory=list)
-    """Trajectories as the policy sees them: with a sensor's errors, and blinded."""
+    """Trajectories for the policy: with a sensor's errors, and blinded."""
     finished: bool = False
-    """True if the policy asks for no more."""
+    """True if the policy has ended."""
     failure: str = ""
     """Reason why a trial could not be made; empty if all could."""
     reasons: dict[Action, str] = field(default_factory=dict)
@@ -89,11 +89,11 @@ class Experiment:
 
     @property
     def seen(self) -> tuple[str, int]:
-        """Sensor and seed of the draw that the policy sees."""
+        """Sensor and seed of the draw for the policy."""
         return self.draw or (self.scenario.policy.plan_for, self.scenario.policy.seed)
 
     def refuse(self, action: Action, why: str) -> None:
-        """Take the refusal of an action at the true masses."""
+        """Note the refusal of an action at the true masses."""
         self.reasons[action], self.refused[action] = why, redacted(why)
 
     def next_action(self) -> Action | None:
@@ -122,7 +122,7 @@ class InfeasibleExperiment:
 def experiments_of(
     scenario: Scenario, store: Store, progress: Progress
 ) -> tuple[list[Experiment], list[InfeasibleExperiment]]:
-    """Every object under every support at every point of the sweep, and those that the robot cannot do.
+    """Feasible and infeasible experiments: every object under every support at every point of the sweep.
 
     Raises:
         HeftError: an object that cannot be read; or none that can be handled.
@@ -163,7 +163,7 @@ def experiments_of(
 
 
 def link_refusal(point: Scenario, model: ObjectModel) -> str:
-    """Reason why the actions of a scenario do not show the masses of an object with hinges; empty where they do."""
+    """Reason why the actions of a scenario do not determine the masses of an object with hinges; empty if they do."""
     if model.shape.chain is None:
         return ""
     plans = f"a plan ({', '.join(PLANNED)})"
@@ -178,7 +178,7 @@ def link_refusal(point: Scenario, model: ObjectModel) -> str:
 
 
 def _handled(point: Scenario, model: ObjectModel, feasible: _Grasps) -> tuple[Scenario, tuple[int, ...]]:
-    """Scenario for an object, in which it is pushed where no hand can turn it, and its grasps.
+    """Scenario for an object, with pushes where no grasp is feasible, and the feasible grasps.
 
     Raises:
         InfeasibleTrialError: it cannot be turned, and is not to be pushed.
@@ -211,7 +211,7 @@ def object_paths(scenario: Scenario, load: Callable[[str], ObjectModel] = load_o
 def _sources(
     scenario: Scenario, feasible: _Grasps, store: Store, load: Callable[..., ObjectModel]
 ) -> Iterator[tuple[str, Callable[[int], ObjectModel]]]:
-    """Name of every object, and a function that cuts it into a grid; `load` reads one as `load_object` does."""
+    """Name of every object, and a function that loads it at a resolution; `load` reads one as `load_object` does."""
     for name, path in object_paths(scenario, load).items():
         yield name, partial(load, path)
     for family in scenario.random:
@@ -220,7 +220,7 @@ def _sources(
 
 
 def _drawn(family: Family, index: int, scenario: Scenario, feasible: _Grasps, store: Store) -> str:
-    """File of a random object that the robot can turn, or of any where others are pushed, made if it is not there.
+    """File of a random object, written if missing: one that the robot can turn, or any if others are pushed.
 
     Raises:
         InfeasibleTrialError: none of many draws can be handled.
@@ -254,7 +254,7 @@ class _Grasps:
         self._new: list[str] = []
 
     def of(self, model: ObjectModel, point: Scenario) -> tuple[int, ...]:
-        """Feasible grasps; raises InfeasibleTrialError where there are none."""
+        """Feasible grasps of an object; raises InfeasibleTrialError where there are none."""
         name, check = model.name, point.policy.check(model, point.simulation.build(), self._store.secret)
         assumed = object_request(ObjectModel(name, check.shape, check.guess.uniform(check.shape)))
         key = key_of({"assumed": assumed, "simulation": asdict(check.settings), "what": "grasps"})
@@ -271,6 +271,6 @@ class _Grasps:
         return tuple(int(grasp) for grasp in known["grasps"])
 
     def keep(self) -> None:
-        """Write what is new: not before the whole scenario is known to be sound."""
+        """Write the new entries, once the whole scenario is known to be feasible."""
         for key in self._new:
             self._store.put_note(key, self._known[key])

@@ -1,4 +1,4 @@
-"""Objects of a scenario made of mesh files in a user's folder, each with the masses that a file beside it gives."""
+"""Objects of a scenario from mesh files in a user's folder, with masses from a file beside each."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from testbed.errors import InvalidValueError, nearest
 from testbed.objects.conversion.convert import Converted, convert_mesh, write_object
 
 LIGHTEST = 0.1
-"""Least density of a part, as a part of the whole's: rubber beside steel."""
+"""Least density of a part, relative to the mean density of the object: rubber beside steel."""
 
 
 def with_meshes(scenario: Scenario, data: Path | None, folder: Path, progress: Progress) -> tuple[Scenario, list[str]]:
-    """The scenario with objects made of the mesh files in `data`, and a line on each; files that are there are kept.
+    """Scenario with objects from the mesh files in `data`, and a line on each; existing object files are kept.
 
     Args:
         scenario: a scenario with a [meshes] table, whose `objects` are names of meshes, or none for all.
-        data: folder of the mesh files; None is an error that says what is missing.
+        data: folder of the mesh files; None is refused for a scenario with a [meshes] table.
         folder: results folder; the objects go to its objects/.
         progress: receives how far it is.
 
@@ -48,15 +48,15 @@ def with_meshes(scenario: Scenario, data: Path | None, folder: Path, progress: P
         raise InvalidValueError("objects", unknown, f"some of {', '.join(files)}{nearest(unknown[0], files)}")
     paths, lines = [], []
     for done, name in enumerate(wanted):
-        path, line = _made(files[name], name, meshes, folder)
+        path, line = _object_file(files[name], name, meshes, folder)
         progress("objects", done + 1, len(wanted))
         lines.append(line)
         paths.append(str(path))
     return scenario.model_copy(update={"objects": paths}), lines
 
 
-def _made(file: Path, name: str, meshes: Meshes, folder: Path) -> tuple[Path, str]:
-    """Object file of a mesh, made if it is not there, and what is to be said of it."""
+def _object_file(file: Path, name: str, meshes: Meshes, folder: Path) -> tuple[Path, str]:
+    """Object file of a mesh, written if it does not exist, and a line on it."""
     digest, notes = hashlib.sha256(file.read_bytes()).hexdigest(), file.with_name(meshes.notes)
     known = meshes.sha256.get(name, "")
     other = "" if digest.startswith(known) else f"{name}: another file than that of the documentation's figures; "
@@ -85,7 +85,7 @@ def _name(file: Path) -> str:
 
 
 def part_masses(made: Converted, truth: InertialParameters) -> tuple[tuple[float, ...], str]:
-    """Masses of parts of one density each that come nearest to a body's M, c and inertia, and how near, in words.
+    """Masses of parts of uniform density, fitted to a body's M, c and inertia, and the errors of the fit in words.
 
     Args:
         made: the object.

@@ -1,4 +1,4 @@
-"""Runs: a scenario from its first trial to its results, or the methods of a scenario on trials that were measured."""
+"""Runs: a scenario from its first trial to its results, or the methods of a scenario on measured trials."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from testbed.worlds.seeds import new_secret
 SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
 DEFAULT_SCENARIO = "blocks"
-"""Scenario whose methods answer from measured trials, if none is named."""
+"""Scenario whose methods are used on measured trials by default."""
 
 
 def run_scenario(
@@ -47,17 +47,16 @@ def run_scenario(
     on_result: ResultCallback | None = None,
     secret: str | None = None,
 ) -> pd.DataFrame:
-    """Run or resume a scenario; a row per estimate.
+    """Run or resume a scenario; return a table with a row per estimate.
 
     Args:
-        scenario: what to run.
-        out: results folder; what is done there is not done again.
-        worker_count: workers; 0 is this process.
-        progress: receives how far it is.
+        scenario: scenario to run.
+        out: results folder; finished trials and estimates in it are kept.
+        worker_count: number of worker processes; 0 is this process.
+        progress: callback for the progress.
         executor: inline, local or ray.
         on_result: called for each "trial" and "estimate", with its key, when it is done.
-        secret: text from which all draws are seeded, which repeats them; that of the folder, or a fresh one, if left
-            out.
+        secret: text that seeds all draws, to repeat them; default: the secret of the folder, or a new one.
 
     Raises:
         HeftError: something in the scenario cannot be done, `out` holds results of another scenario, as
@@ -80,13 +79,13 @@ def carry_out(
     preload: Sequence[str] = (),
     secret: str | None = None,
 ) -> Iterator[tuple[pd.DataFrame, Executor]]:
-    """Do as `run_scenario`, and lend the workers, for views of the results, until the end of the context.
+    """Run a scenario as `run_scenario` does; yield its table, and its workers for views of the results.
 
-    A worker imports the modules of `preload` as it starts.
+    Workers import the modules of `preload` when they start.
     """
     check_code(scenario)
     workers = open_executor(executor, worker_count, preload=(__name__, *preload))
-    with exclusive(out), _none_left_over(out), workers as tasks:
+    with exclusive(out), _without_partial_files(out), workers as tasks:
         store = Store(out.absolute(), _secret_of(out) or new_secret() if secret is None else secret)
         store.remove_leftovers()
         experiments, left_out = experiments_of(scenario, store, progress)
@@ -106,8 +105,8 @@ def carry_out(
 
 
 @contextmanager
-def _none_left_over(folder: Path) -> Iterator[None]:
-    """Remove what workers were writing when a run is stopped and they are killed."""
+def _without_partial_files(folder: Path) -> Iterator[None]:
+    """Remove the partial files of killed workers where a run is stopped."""
     try:
         yield
     except BaseException:
@@ -121,13 +120,13 @@ def _secret_of(folder: Path) -> str:
 
 
 def _contents(scenario: Scenario) -> dict[str, str]:
-    """Key of the content of each object that a scenario names: its file may change later."""
+    """Content key of each object that a scenario names, since its file may change later."""
     objects = map(load_object, scenario.objects)
     return {each.name: key_of(object_request(each)) for each in objects}
 
 
 def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = None) -> None:
-    """Check that a run into a folder goes on with the results there, or adds to them.
+    """Check that a run into a folder continues the results there, or adds to them.
 
     Raises:
         InvalidValueError: the folder holds results of other objects, methods, seeds, draws or settings, or of objects
@@ -153,7 +152,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
 
 
 def _asked_again(field: str, held: Any, asked: Any) -> bool:
-    """True if all that the results hold of a field is asked for again: objects, methods, seeds, values may grow."""
+    """True if a field includes all that the results hold: objects, methods, seeds and swept values may be added."""
     if field == "seeds":
         return held <= asked
     if field == "objects":  # the same files lie elsewhere in another checkout
@@ -169,8 +168,10 @@ def _asked_again(field: str, held: Any, asked: Any) -> bool:
 
 
 def manifest(scenario: Scenario, secret: str = "", expected: DryRun | None = None) -> dict[str, Any]:
-    """The manifest of a results folder: the scenario, the secret of its draws, the versions that ran it, and its
-    expected size until it ends. Measured trials have no draws, and no secret."""
+    """Manifest of a results folder: scenario, secret of its draws, package versions, and expected size until it ends.
+
+    Measured trials have no draws and no secret.
+    """
     packages = {name: version(name) for name in ("heft-testbed", "mujoco", "torch", "numpy", "scipy")}
     facts = {"scenario": scenario.model_dump(), "python": platform.python_version(), "packages": packages}
     facts |= {"secret": secret} if secret else {}
@@ -180,7 +181,7 @@ def manifest(scenario: Scenario, secret: str = "", expected: DryRun | None = Non
 
 
 def command_words(*words: str, **options: Any) -> list[str]:
-    """Words of a command line: its first ones, then each option by its name, but for those of None and False."""
+    """Words of a command line: the given words, then each option by its name, except those of None and False."""
     found = list(words)
     for name, value in options.items():
         if value is not None and value is not False:
@@ -201,7 +202,7 @@ class EstimateRequest:
     allow_code: bool = False
 
     def chosen(self) -> Scenario:
-        """Scenario with the methods asked for: by default those of `blocks`, and first the one that tests the support.
+        """Scenario with the requested methods: by default those of `blocks`, after the one that tests the support.
 
         Raises:
             InvalidValueError: no such method or scenario, or a scenario with other particles than the trials hold.
@@ -230,16 +231,16 @@ class MeasuredEstimates:
     """Estimates from measured trials."""
 
     scenario: Scenario
-    """Scenario that these trials amount to."""
+    """Scenario of these trials: their objects and supports, one draw, no sweep."""
     rows: list[dict[str, Any]]
     """Results, a row per estimate."""
     left_out: list[str]
-    """A line for each trial that is no data."""
+    """A line for each unusable trial."""
 
 
 @contextmanager
 def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress) -> Iterator[MeasuredEstimates]:
-    """Run the methods on the measured trials of a folder, write results and manifest, and hold it for views of them.
+    """Run the methods on the measured trials of a folder, write results and manifest, and lock it during the context.
 
     Raises:
         InvalidValueError: no measured trials, no weighing, no such object, or as `EstimateRequest.chosen`.
@@ -271,7 +272,7 @@ def estimate_measured(folder: Path, request: EstimateRequest, progress: Progress
 
 
 def _scenario_of(found: Sequence[MeasuredTrials], methods: Scenario) -> Scenario:
-    """A scenario of these trials, with its methods asked once and no sensor's errors drawn."""
+    """Scenario of measured trials, with one estimate per method and no draws of sensor errors."""
     stiffness = [trials.support.stiffness for trials in found]
     supports = [k if 0 < k < float("inf") else trials.support.name for k, trials in zip(stiffness, found, strict=True)]
     changes: dict[str, Any] = {
@@ -286,7 +287,7 @@ def _scenario_of(found: Sequence[MeasuredTrials], methods: Scenario) -> Scenario
 
 
 def _experiment_of(trials: MeasuredTrials, scenario: Scenario) -> Experiment:
-    """An experiment whose trials are made: nothing is left to a policy."""
+    """Experiment whose trials are complete, so that its policy chooses nothing."""
     obj, keys, held_out = trials.object, [trials.weighing, *trials.moved], list(trials.held_out)
     policy = scenario.policy.build((), obj.shape, scenario.simulation.build())
     return Experiment(scenario, {}, obj, obj, trials.support, (), policy, (), keys=keys, held_out_keys=held_out)

@@ -1,4 +1,4 @@
-"""Trials of a scenario: those that each experiment's policy asks for, and turns held out for prediction."""
+"""Trials of a scenario: those that the policy of each experiment chooses, and turns held out for prediction."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ FEET_RATE = 10.0
 
 @dataclass(eq=False)
 class TrialRun:
-    """Trials of some experiments, side by side; one that two experiments need is made once.
+    """Concurrent trials of some experiments; a trial that two experiments share is made once.
 
-    An experiment's known actions are made in any order; the policy is asked for each action all the same. It learns
-    which actions are refused at the true masses, and chooses others. An experiment whose trial fails for good, or whose
-    policy asks again for a refused action, has the reason in `failure`, and goes no further.
+    The known actions of an experiment are made in any order; the policy is asked for each action all the same. It
+    receives the actions that are refused at the true masses, and chooses others. An experiment whose trial fails for
+    good, or whose policy asks again for a refused action, ends with the reason in `failure`.
     """
 
     waiting: deque[Experiment]
@@ -38,32 +38,32 @@ class TrialRun:
     executor: Executor
     progress: Progress
     ended: Callable[[Experiment], None]
-    """Called with each experiment whose trials are there, or that has failed."""
+    """Called with each experiment whose trials exist, or that has failed."""
     on_result: ResultCallback | None = None
     marks: Marks = field(default_factory=dict)
-    """Marks of the trials that were read whole."""
+    """Marks of the trials that are known to be whole."""
     done: int = 0
     """Trials done."""
     failed: int = 0
     """Experiments that have failed."""
     expected: int = field(init=False)
-    """Trials where nothing fails and nothing is shared."""
+    """Number of trials where nothing fails and nothing is shared."""
     known: deque[tuple[Experiment, Action]] = field(default_factory=deque)
-    """Known actions of the experiments under way."""
+    """Known actions of the started experiments."""
     asking: dict[str, list[tuple[Experiment, Action]]] = field(default_factory=dict)
-    """Experiments that wait for each trial in flight, and the action that it makes."""
+    """Experiments that wait for each running trial, and its action, by the key of the trial."""
     refusals: dict[str, str | Failure] = field(default_factory=dict)
-    """Reasons why trials were refused or failed."""
+    """Reasons why trials were refused or failed, by key."""
 
     def __post_init__(self) -> None:
         self.expected = sum(experiment.scenario.policy.expected_trials for experiment in self.waiting)
 
     def start(self) -> bool:
-        """Start the next trial, or take the next experiment; False where there is neither."""
+        """Start the next known trial or the next experiment; False where there is neither."""
         if self.known:
             experiment, action = self.known.popleft()
             if not experiment.failure:
-                self._started(experiment, action)
+                self._start_trial(experiment, action)
         elif self.waiting:
             self._begin(self.waiting.popleft())
         else:
@@ -76,10 +76,10 @@ class TrialRun:
             self._end(experiment)
         else:
             self.known.extend((experiment, action) for action in experiment.known_actions())
-            self._go_on(experiment, Weigh())
+            self._advance(experiment, Weigh())
 
-    def _started(self, experiment: Experiment, action: Action) -> str:
-        """Key of the trial, which is started where it is neither there nor in flight."""
+    def _start_trial(self, experiment: Experiment, action: Action) -> str:
+        """Start a trial unless it is stored, refused or running; return its key."""
         trial = Trial(experiment.model, action, experiment.support, world=experiment.world)
         settings = experiment.scenario.simulation.build()
         key = key_of(trial_request(trial, settings))
@@ -89,7 +89,7 @@ class TrialRun:
         return key
 
     def _take(self, key: str, refusal: str | Failure) -> None:
-        """Take the end of a trial: made where `refusal` is empty."""
+        """Take the outcome of a trial, which is stored where `refusal` is empty."""
         if refusal != "":
             self.refusals[key] = refusal
         elif self.on_result is not None:
@@ -97,13 +97,13 @@ class TrialRun:
         if isinstance(refusal, Failure):
             self.store.put_error("trials", key, refusal.detail)
         for experiment, action in self.asking.pop(key):
-            self._go_on(experiment, action)
+            self._advance(experiment, action)
         self._show()
 
-    def _go_on(self, experiment: Experiment, action: Action | None) -> None:
-        """From this action on, take the trials that are there, and wait for the first that is not."""
+    def _advance(self, experiment: Experiment, action: Action | None) -> None:
+        """Continue an experiment at an action: take the stored trials, and wait for the first that is missing."""
         while action is not None:
-            key = self._started(experiment, action)
+            key = self._start_trial(experiment, action)
             if key in self.asking:
                 self.asking[key].append((experiment, action))
                 return
@@ -124,7 +124,7 @@ class TrialRun:
         self._end(experiment)
 
     def _end(self, experiment: Experiment) -> None:
-        """Give the experiment back: its trials are there, or it has failed."""
+        """End an experiment whose trials exist, or that has failed."""
         self.failed += bool(experiment.failure)
         experiment.trajectories.clear()
         self.ended(experiment)
@@ -137,7 +137,7 @@ class TrialRun:
 
 
 def _next_action(experiment: Experiment) -> Action | None:
-    """Next action; None where there is none, or the policy cannot go on, which is the experiment's `failure`."""
+    """Next action; None where there is none, or the policy fails, which sets the experiment's `failure`."""
     try:
         action = experiment.next_action()
     except HeftError as error:
@@ -151,24 +151,24 @@ def _next_action(experiment: Experiment) -> Action | None:
 
 
 def _taken(experiment: Experiment, action: Action, key: str, store: Store, marks: Marks) -> bool:
-    """Take a finished trial into the experiment; False where its file is damaged and it has to be made again."""
+    """Add a stored trial to the experiment; False where its file is damaged and it has to be made again."""
     if not store.has_sound_trial(key, marks):
         return False
     trajectory = store.trajectory(key)
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True
-    seen = sensed(trajectory, *experiment.seen, len(experiment.keys), key, store.secret)
+    drawn = sensed(trajectory, *experiment.seen, len(experiment.keys), key, store.secret)
     if action.moves:
-        experiment.trajectories.append(seen)
-    elif seen.ok:
-        experiment.weighed.append(weight_of(seen))
+        experiment.trajectories.append(drawn)
+    elif drawn.ok:
+        experiment.weighed.append(weight_of(drawn))
     experiment.keys.append(key)
     return True
 
 
 def _recalled(experiment: Experiment, store: Store, marks: Marks) -> bool:
-    """Take all trials of an experiment from an earlier run; False where some are missing."""
+    """Add all trials of an experiment from an earlier run; False where some are missing."""
     note = store.note(_key_of(experiment, store))
     if note is None or not all([store.has_sound_trial(key, marks) for key in note["keys"] + note["held_out"]]):
         return False
@@ -191,7 +191,7 @@ def _key_of(experiment: Experiment, store: Store) -> str:
 
 
 def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:
-    """Worker's task: one trial; the reason why it was refused, or empty where it is made."""
+    """Task of a worker: make one trial; return the reason of its refusal, empty where it is stored."""
     try:
         simulate(trial, settings, store)
     except InfeasibleTrialError as error:
@@ -200,7 +200,7 @@ def _tried(trial: Trial, settings: RunnerSettings, store: Store) -> str:
 
 
 def simulate(trial: Trial, settings: RunnerSettings, store: Store) -> str:
-    """One physical trial, unless it is done; its key.
+    """Make and store one physical trial, unless it is done; return its key.
 
     Raises:
         InfeasibleTrialError: it was refused; nothing has moved.

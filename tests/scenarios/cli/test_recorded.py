@@ -105,14 +105,6 @@ def test_trials_that_turn_elsewhere_than_stated_are_an_exit_code(
         assert "is position_unit another?" in said.err or code == 1
 
 
-def test_a_corrected_mapping_takes_the_place_of_the_wrong_one(unweighed: Path, records: list[Trajectory]):
-    mapping = mapping_of(records[0])
-    write_toml(unweighed / "second.toml", mapping | {"sensor": mapping["sensor"] | {"bias_std_N": 0.2}})
-    assert ended("import", "second.toml", "0.csv", "--out", "lab") == 0
-    biases = sorted(t.sensor_bias_std[0] for _, t in load_trajectories(unweighed / "lab"))
-    assert_allclose(biases, [0.05, 0.05, 0.05, 0.2])
-
-
 def test_pose_and_wrench_may_be_files_of_their_own(
     lab: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):
@@ -131,9 +123,7 @@ def test_pose_and_wrench_may_be_files_of_their_own(
     assert len(list(load_trajectories("lab"))) == 2  # another record of the sensor is another log
 
 
-def test_what_is_wrong_with_all_logs_is_told_at_once_and_nothing_is_written(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_errors_of_all_logs_are_reported_at_once_and_nothing_is_written(lab: Path, capsys: pytest.CaptureFixture[str]):
     table = (lab / "0.csv").read_text(encoding="utf-8")
     (lab / "0.csv").write_text(table.replace("fx,fy", "fx,f_y", 1), encoding="utf-8")
     (lab / "2.csv").write_text("\n".join(table.splitlines()[:40]), encoding="utf-8")
@@ -161,7 +151,7 @@ def test_an_estimate_is_not_advised_where_no_trial_is_data(
     for i, record in enumerate(records):
         write_csv(lab / f"{i}.csv", tared_again(record, 0.5))
     assert ended("import", "lab.toml", "--out", "drifted", "--weight", "1.8") == 1
-    assert "4 of them not usable; next: what is said of the trials above" in capsys.readouterr().out
+    assert "4 of them not usable; next: see the messages about the trials above" in capsys.readouterr().out
 
 
 def test_doctor_names_a_wrong_axis_before_any_cause(
@@ -301,7 +291,7 @@ def test_measured_trials_and_their_estimates_are_shown_as_simulated_ones_are(lab
     assert len(list((lab / "lab/recordings").glob("*.rrd"))) == 3
 
 
-def test_a_trial_that_is_no_data_is_told_and_left_out(
+def test_an_unusable_trial_is_reported_and_left_out(
     weighed: Path, records: list[Trajectory], capsys: pytest.CaptureFixture[str]
 ):
     store, bad = Store(weighed / "lab"), replace(records[2], status="slipped", reason="it slid", provenance={})

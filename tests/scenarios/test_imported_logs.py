@@ -73,7 +73,7 @@ def test_another_part_of_a_file_replaces_nothing(lab: Path):
     assert kept(lab) == {first.key, later.key, again.key}
 
 
-def test_a_stretch_is_known_again():
+def test_a_stretch_is_recognized():
     phases = [{"phase": "tare", "from_s": 0.0, "to_s": 1.0}, {"phase": "steady", "from_s": 2.5, "to_s": 9.0}]
     for part in (
         {},

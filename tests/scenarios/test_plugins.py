@@ -184,8 +184,6 @@ def test_a_wrong_setting_of_a_method_is_refused(name, settings, reason):
     with pytest.raises(InvalidValueError, match=reason) as raised:
         configured(load_class(f"of_user:{name}", role, "mine"), settings, "mine")
     assert raised.value.field == "mine"
-    with pytest.raises(InvalidValueError, match="this is a function"):
-        check_code(Scenario(objects=["I1"]).changed(methods=("of_user:function",)))
 
 
 @pytest.mark.usefixtures("here")

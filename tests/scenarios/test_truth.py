@@ -161,15 +161,15 @@ def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
             assert all(t.setup == world("lab").stated for t in parts.get("trajectories", []))
 
 
-def test_a_policy_is_told_what_the_scale_read(spied):
+def test_a_policy_receives_the_reading_of_the_scale(spied):
     _, given = spied
-    told_ = next(parts for kind, parts in given if kind == "policy")
+    given_policy = next(parts for kind, parts in given if kind == "policy")
     true = load_object("L2").total_mass
-    assert 0 < abs(told_["weight_kg"] - true) < 0.005
-    assert told_["feasible"].guess.weight == told_["weight_kg"]
-    assert told_["feasible"].guess.sensing == preset("ft300s")
+    assert 0 < abs(given_policy["weight_kg"] - true) < 0.005
+    assert given_policy["feasible"].guess.weight == given_policy["weight_kg"]
+    assert given_policy["feasible"].guess.sensing == preset("ft300s")
     readings = [parts["weight"] for kind, parts in given if kind == "estimate"]
-    assert told_["weight_kg"] == readings[0] != readings[1]  # the draw that the policy sees is the first
+    assert given_policy["weight_kg"] == readings[0] != readings[1]  # the draw that the policy sees is the first
 
 
 @pytest.mark.slow
@@ -215,7 +215,7 @@ def test_grasps_and_checks_do_not_know_masses_and_friction():
 
 
 @pytest.mark.slow
-def test_what_the_true_masses_refuse_is_told_without_numbers_and_chosen_around(tmp_path):
+def test_a_refusal_at_the_true_masses_has_no_numbers_and_is_avoided(tmp_path):
     path = tmp_path / "end.toml"
     path.write_text(
         'name = "end"\n[blocks]\nlayout = ["111111"]\nmass_kg = [1.75, 0.01, 0.01, 0.01, 0.01, 0.01]\nfriction = 1.0\n'

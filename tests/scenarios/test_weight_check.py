@@ -15,7 +15,7 @@ BLOCK = load_block("T-own_weight")
 
 
 @pytest.mark.parametrize(("part", "ok"), [pytest.param(1.0, True, marks=pytest.mark.slow), (1.1, False)])
-def test_a_weight_that_is_off_by_a_tenth_is_told(part: float, ok: bool):
+def test_a_weight_that_is_off_by_a_tenth_is_detected(part: float, ok: bool):
     shape, trials, weight = BLOCK.model.shape, BLOCK.trials("ft300s"), part * BLOCK.weighed("ft300s")
     answer = HiddenStates().estimate(shape, weight, trials, 0)
     finding = check_weight(shape, weight, trials, answer)
@@ -29,7 +29,7 @@ def test_a_weight_that_is_off_by_a_tenth_is_told(part: float, ok: bool):
     assert check_weight(shape, weight, trials, replace(answer, status="contradictory")) is None
 
 
-def test_a_wrong_sign_is_told_once():
+def test_a_wrong_sign_is_reported_once():
     trials = [t for t in BLOCK.clean if not t.action.accelerated]
     assert wrong_motion(BLOCK.model.shape, trials) == []
     turned = [replace(t, wrench_on_object_world=-t.wrench_on_object_world) for t in trials]

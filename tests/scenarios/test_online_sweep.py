@@ -9,14 +9,14 @@ import pandas as pd
 import pytest
 
 from estimators.action_selection.online import OnlinePolicy
-from scenarios.cli.main import main
 from scenarios.config import Scenario, load_scenario
+from scenarios.results.files import done_keys
 from scenarios.results.store import Store
 from scenarios.results.trials import sensed_trials
 from scenarios.study.dry_run import DryRun
 from scenarios.study.experiment import experiments_of
 from testbed import Action, ObjectShape, Trajectory, weight_of
-from tests.helpers.runs import Killing, kill_a_run, quiet, resumed, small_scenario
+from tests.helpers.runs import quiet, resumed, small_scenario
 
 ONLINE = """
 held_out = 1
@@ -34,7 +34,7 @@ class Swept:
     out: Path
     rows: pd.DataFrame
     given: set[tuple[bytes, ...]]
-    """All that the policy was given to choose by: a record a trial."""
+    """Inputs of all decisions of the policy: a record per trial."""
 
 
 def records(trajectories: Sequence[Trajectory]) -> tuple[bytes, ...]:
@@ -60,49 +60,36 @@ def swept(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> Swept:
 
 
 @pytest.mark.slow
-def test_each_draw_follows_what_it_felt(scenario: Path, swept: Swept):
+def test_each_draw_follows_its_own_wrenches(scenario: Path, swept: Swept):
     rows, store = swept.rows, Store(swept.out)
     assert rows[["sensing", "seed"]].to_numpy().tolist() == [["ideal", 0], ["ft300s", 0], ["ft300s", 1]]
     assert "failed" not in set(rows["status"]) and set(rows["trials"]) == {4}
+    assert {*done_keys(swept.out, "trials")} == {*np.concatenate([*rows["trial_keys"], *rows["held_out_keys"]])}
     cells, _ = experiments_of(load_scenario(str(scenario))[1], store, quiet)
-    felt_by_any = set()
+    all_records = set()
     for cell, row in zip(cells, rows.to_dict("records"), strict=True):
         assert cell.draw == (row["sensing"], row["seed"])
-        weighing, *felt = sensed_trials(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])
+        weighing, *measured = sensed_trials(store, tuple(row["trial_keys"]), row["sensing"], row["seed"])
         cell.weighed.append(weight_of(weighing))
-        so_far = [felt[:n] for n in range(len(felt) + 1)]
-        felt_by_any |= {records(some) for some in so_far}
+        so_far = [measured[:n] for n in range(len(measured) + 1)]
+        all_records |= {records(some) for some in so_far}
         chosen = [cell.policy.next(cell.particles.shape, some) for some in so_far]
-        assert chosen == [*(trial.action for trial in felt), None]
-    assert swept.given == felt_by_any and len(felt_by_any) == 1 + 3 * 3  # each draw its own, and nothing but these
+        assert chosen == [*(trial.action for trial in measured), None]
+    assert swept.given == all_records and len(all_records) == 1 + 3 * 3  # of each draw alone
 
 
 @pytest.mark.slow
 def test_a_draw_goes_on_from_its_own_trials(scenario: Path, swept: Swept):
     out, rows = swept.out, swept.rows
     stamps = {path: path.stat().st_mtime_ns for path in out.glob("trials/*/trial.json")}
-    lost = out / "trials" / rows["trial_keys"][2][2]
-    (lost / "trial.json").unlink()
-    for path in out.glob("estimates/*/result.json"):
+    lost = {out / "trials" / rows["trial_keys"][draw][trial] for draw, trial in ((1, 3), (2, 2), (2, 3))}
+    for path in (*(trial / "trial.json" for trial in lost), *out.glob("estimates/*/result.json")):
         path.unlink()
+    for note in out.glob("notes/*.json"):  # as after a kill: a draw's note is written after its last trial
+        note.unlink()
     pd.testing.assert_frame_equal(resumed(scenario, out, executor="inline"), rows)
-    kept = [path for path in stamps if path.parent != lost]
+    kept = [path for path in stamps if path.parent not in lost]
     assert kept and all(path.stat().st_mtime_ns == stamps[path] for path in kept)
-
-
-@pytest.mark.slow
-def test_it_goes_on_after_being_killed(scenario: Path, swept: Swept, tmp_path: Path):
-    kill_a_run(scenario, tmp_path / "out", Killing("both", 4, 0.1, 0))
-    pd.testing.assert_frame_equal(resumed(scenario, tmp_path / "out", executor="inline"), swept.rows)
-
-
-@pytest.mark.slow
-def test_its_trials_are_counted(swept: Swept, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("COLUMNS", "200")
-    main(["status", str(swept.out)])
-    said = capsys.readouterr().out
-    made = len(set(np.concatenate([*swept.rows["trial_keys"], *swept.rows["held_out_keys"]])))
-    assert f"finished\ntrials: {made} done, 0 failed; estimates: 3 done, 0 failed" in said
 
 
 def test_each_draw_may_have_its_own_order_of_grasps(tmp_path: Path):

@@ -82,7 +82,8 @@ def test_each_draw_follows_its_own_wrenches(scenario: Path, swept: Swept):
 def test_a_draw_goes_on_from_its_own_trials(scenario: Path, swept: Swept):
     out, rows = swept.out, swept.rows
     stamps = {path: path.stat().st_mtime_ns for path in out.glob("trials/*/trial.json")}
-    lost = {out / "trials" / rows["trial_keys"][draw][trial] for draw, trial in ((1, 3), (2, 2), (2, 3))}
+    keys = rows["trial_keys"].tolist()
+    lost = {Path(out, "trials", keys[draw][trial]) for draw, trial in ((1, 3), (2, 2), (2, 3))}
     for path in (*(trial / "trial.json" for trial in lost), *out.glob("estimates/*/result.json")):
         path.unlink()
     for note in out.glob("notes/*.json"):  # as after a kill: a draw's note is written after its last trial

@@ -1,4 +1,4 @@
-"""Films: pictures as an MP4 or GIF, or one as a PNG, written whole or not at all."""
+"""Films: pictures as an MP4 or a GIF, or the last one as a PNG, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_film(path: Path, width: int, height: int, fps: float) -> None:
     """Check a film's settings before anything is drawn.
 
     Raises:
-        InvalidValueError: an unknown kind of file, a size or a rate.
+        InvalidValueError: an unknown kind of file, or a size or rate outside its limits.
     """
     if path.suffix.lower() not in KINDS:
         raise InvalidValueError("--out", str(path), f"a file name that ends in {', '.join(KINDS)}")
@@ -41,12 +41,12 @@ def check_film(path: Path, width: int, height: int, fps: float) -> None:
 
 
 def write_film(pictures: Iterable[Picture], path: Path, fps: float) -> None:
-    """Write pictures of one size as the file's ending says; a PNG has the last of them.
+    """Write pictures of one size in the format of the file's suffix; a PNG holds the last one.
 
     Args:
-        pictures: drawn one by one.
-        path: of the file.
-        fps: pictures a second; a GIF keeps time to 10 ms.
+        pictures: iterable, consumed one by one.
+        path: file.
+        fps: pictures per second; a GIF rounds their times to 10 ms.
     """
     write = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}[path.suffix.lower()]
     write_whole(path, lambda part: write(pictures, part, fps))
@@ -63,7 +63,7 @@ def captioned(picture: Picture, text: str) -> Picture:
 
 
 def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """H.264 with 4:2:0 colors and the index in front, which every browser plays."""
+    """Write H.264 with 4:2:0 colors and the index in front, which every browser plays."""
     with av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
         stream.pix_fmt, stream.options = "yuv420p", {"crf": str(_QUALITY)}
@@ -75,11 +75,11 @@ def _write_mp4(pictures: Iterable[Picture], part: Path, fps: float) -> None:
 
 
 def _write_gif(pictures: Iterable[Picture], part: Path, fps: float) -> None:
-    """Write all pictures in the colors of the first, so that still parts do not flicker."""
+    """Write all pictures with the palette of the first, so that still parts do not flicker."""
     images = map(Image.fromarray, pictures)
-    one = next(images)
-    palette = one.quantize(255, method=Image.Quantize.MEDIANCUT)
-    first, *rest = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in chain([one], images))
+    start = next(images)
+    palette = start.quantize(255, method=Image.Quantize.MEDIANCUT)
+    first, *rest = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in chain([start], images))
     ends = np.round(np.arange(len(rest) + 2) * 100 / fps).astype(int) * 10  # ms, on a GIF's clock
     durations = np.diff(ends).tolist()
     first.save(part, format="gif", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)

@@ -1,7 +1,7 @@
 """Colors, fonts and color scales of figures, the report and the Rerun views.
 
-Single colors are Okabe and Ito's, distinct to the color-blind; color maps are even in lightness, so that they also
-survive a gray print.
+Single colors are Okabe and Ito's, which color-blind readers can tell apart; color maps are monotonic in lightness, so
+that they also read in a gray print.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ MARKERS = "osD^vPX"
 DASHES = ("-", "--", ":", "-.")
 
 MASS_COLORS = "viridis"
-"""Color map of mass; bright is heavy."""
+"""Color map of mass; large masses are bright."""
 DIFFERENCE_COLORS = "cividis_r"
-"""Color map of absolute differences; dark is wrong."""
+"""Color map of absolute differences; large differences are dark."""
 LINK_COLORS, MOST_LINK_COLORS = "Pastel1", 9.0
-"""Color map of the links of an object, and the number of its colors: light, under arrows."""
+"""Color map of the links of an object, light under the arrows, and the number of its colors."""
 TOP = 95
-"""Percentile of many answers at which a scale ends: one lost method must not bleach the rest."""
+"""Percentile of many answers at which a scale ends, so that an outlier does not compress the scale."""
 LEAST_DIFFERENCE = 0.02
-"""Least end of the scale of differences, over the heaviest group: noise is not blown up."""
+"""Least end of the scale of differences, relative to the heaviest group, so that noise stays light."""
 MOST_NAMED = 30
 """Largest number of groups that have room for names or numbers."""
 
@@ -71,7 +71,7 @@ STYLE: dict[Any, Any] = {
     "text.parse_math": False,
     "path.simplify": True,
 }
-"""matplotlib's settings for a figure: text stays text, a $ too, and the same figure is the same file."""
+"""matplotlib's settings for a figure: text as text, "$" as a plain character, and files that are reproducible."""
 
 
 def bare(axis: Axes) -> None:
@@ -83,13 +83,13 @@ def bare(axis: Axes) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Write plain numbers on a logarithmic axis, and none at its small marks."""
+    """Label the major ticks of a logarithmic axis with plain numbers, and no minor tick."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of a color's name or #RRGGBB."""
+    """Red, green and blue, 0 to 255, of a matplotlib color: a name or #RRGGBB."""
     red, green, blue = (round(255 * part) for part in to_rgb(color))
     return red, green, blue
 
@@ -97,8 +97,8 @@ def rgb(color: str) -> tuple[int, int, int]:
 def series_color(index: int) -> str:
     """Color of the `index`-th of many series: the palette without black, then the same colors lighter."""
     base = PALETTE[:-1]
-    part = 0.5 * ((index // len(base)) % 2)
-    mixed = [(1 - part) * value + part for value in to_rgb(base[index % len(base)])]
+    white = 0.5 * ((index // len(base)) % 2)
+    mixed = [(1 - white) * value + white for value in to_rgb(base[index % len(base)])]
     return "#" + "".join(f"{round(255 * value):02X}" for value in mixed)
 
 
@@ -115,9 +115,9 @@ def mapped(values: Float[np.ndarray, "..."], top: float, colors: str) -> UInt8[n
     return colored
 
 
-def text_color(behind: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:
-    """Black or white, whichever reads better on a color."""
-    light = np.asarray(behind) @ np.array([0.299, 0.587, 0.114]) > LIGHT
+def text_color(background: UInt8[np.ndarray, "... 3"]) -> UInt8[np.ndarray, "... 3"]:
+    """Color of a text on a background, 0 to 255: black or white, by the luminance of the background."""
+    light = np.asarray(background) @ np.array([0.299, 0.587, 0.114]) > LIGHT
     return np.where(light[..., None], np.uint8(0), np.uint8(255)) * np.ones(3, dtype=np.uint8)
 
 
@@ -136,7 +136,7 @@ class Scale:
 
     @property
     def digits(self) -> int:
-        """Digits after the point: two that count."""
+        """Decimal places that show two significant digits of `top`, 2 to 4."""
         return int(np.clip(1 - np.floor(np.log10(self.top)), 2, 4))
 
     def color(self, values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "... 3"]:
@@ -147,35 +147,41 @@ class Scale:
 def mass_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale:
     """One scale for the true and all estimated masses; by default up to the largest of them."""
     masses = [m for view in views for m in (view.true_mass, view.mass) if m is not None]
-    ways = [view.iterates[1] for view in views if view.iterates is not None]
-    return _scale(masses, ways, top, 0.0, MASS_COLORS, "mass, kg per group")
+    iterates = [view.iterates[1] for view in views if view.iterates is not None]
+    return _scale(masses, iterates, top, 0.0, MASS_COLORS, "mass, kg per group")
 
 
 def difference_scale(views: Sequence[EstimateView], top: float | None = None) -> Scale:
     """One scale for all absolute differences; by default up to the largest of the answers."""
     known = [(view, view.true_mass) for view in views if view.true_mass is not None]
-    off = [view.difference for view, _ in known if view.difference is not None]
-    ways = [np.abs(view.iterates[1] - truth) for view, truth in known if view.iterates is not None]
+    differences = [view.difference for view, _ in known if view.difference is not None]
+    iterates = [np.abs(view.iterates[1] - truth) for view, truth in known if view.iterates is not None]
     least = LEAST_DIFFERENCE * max((float(truth.max()) for _, truth in known), default=0.0)
-    return _scale(off, ways, top, least, DIFFERENCE_COLORS, "|difference|, kg per group")
+    return _scale(differences, iterates, top, least, DIFFERENCE_COLORS, "|difference|, kg per group")
 
 
 def _scale(
-    ends: Sequence[np.ndarray], ways: Sequence[np.ndarray], top: float | None, least: float, colors: str, title: str
+    finals: Sequence[np.ndarray],
+    iterates: Sequence[np.ndarray],
+    top: float | None,
+    least: float,
+    colors: str,
+    title: str,
 ) -> Scale:
-    """Scale up to `top`, or to the largest of `ends`; open where an end or an iterate is larger."""
-    largest = max((float(values.max()) for values in ends), default=1.0)
+    """Scale up to `top`, or to the largest of `finals`, at least up to `least`; open where any value is larger."""
+    largest = max((float(values.max()) for values in finals), default=1.0)
     end = max(largest if top is None else top, least, 1e-6)
-    return Scale(end, colors, title, open=any(float(values.max()) > end * (1 + 1e-9) for values in (*ends, *ways)))
+    exceeds = any(float(values.max()) > end * (1 + 1e-9) for values in (*finals, *iterates))
+    return Scale(end, colors, title, open=exceeds)
 
 
 def top_of(values: Sequence[np.ndarray]) -> float:
-    """End of a scale of many answers: a high percentile of their values; 0 without any."""
+    """End of a scale of many answers: the percentile TOP of their values; 0 without any."""
     return float(np.percentile(np.concatenate(values), TOP)) if values else 0.0
 
 
 def group_middles(shape: ObjectShape) -> Float[np.ndarray, "n_m 2"]:
-    """Mean position of each group's particles [m]: the place of its label."""
+    """Mean position of each group's particles [m], where its label is drawn."""
     return np.array([shape.particles[shape.mass_group == group].mean(axis=0) for group in range(shape.n_m)])
 
 

@@ -1,4 +1,4 @@
-"""Trials of one object as they are drawn: actions, contact paths of pushes, and joint angles of links."""
+"""Trials of one object for figures and reports: actions, contact paths of pushes, and joint angles of links."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class TrialsView(ActionsView):
     contacts: Mapping[int, Float[np.ndarray, "W 2"]] = field(default_factory=dict)
     """Contact points of each push in order [m], object frame, by number."""
     cameras: Mapping[int, PoseStream] = field(default_factory=dict)
-    """Poses of the links in each trial, by number."""
+    """Measured poses of the links in each trial, by number."""
 
     @classmethod
     def of(cls, shape: ObjectShape, trajectories: Sequence[Trajectory], title: str) -> Self:
-        """View of the trials in which something moves."""
+        """View of the trials whose action moves."""
         moved = dict(enumerate((trial for trial in trajectories if trial.action.moves), start=1))
         contacts = {n: path for n, trial in moved.items() if len(path := push_contacts(shape, trial))}
         cameras = {n: t.camera for n, t in moved.items() if shape.chain is not None and t.camera is not None}
@@ -38,28 +38,28 @@ class TrialsView(ActionsView):
 
     @property
     def strokes(self) -> Float[np.ndarray, "N 2"]:
-        """Points along every line of the drawing, and its marks [m]."""
+        """Points along every line of the drawing, and its marks [m], object frame."""
         return np.vstack([super().strokes, *self.contacts.values()])
 
     def slid(self, number: int) -> float:
-        """Distance between the first and the last contact point of a push [m]; NaN where none was seen."""
+        """Distance between the first and the last contact point of a push [m]; NaN without contact points."""
         if number not in self.contacts:
             return np.nan
         return float(np.linalg.norm(self.contacts[number][-1] - self.contacts[number][0]))
 
     def joint_range(self, number: int, hinge: int) -> tuple[float, float]:
-        """Least and greatest joint angle of a hinge in a trial [deg]; NaN where none was seen."""
+        """Least and greatest joint angle of a hinge in a trial [deg]; NaN where the camera measured none."""
         if number not in self.cameras:
             return np.nan, np.nan
         angle = self.cameras[number].joint_angles[:, hinge]
-        seen = np.degrees(angle[~np.isnan(angle)])
-        return (float(seen.min()), float(seen.max())) if len(seen) else (np.nan, np.nan)
+        measured = np.degrees(angle[~np.isnan(angle)])
+        return (float(measured.min()), float(measured.max())) if len(measured) else (np.nan, np.nan)
 
 
 def push_contacts(shape: ObjectShape, trajectory: Trajectory) -> Float[np.ndarray, "W 2"]:
-    """Contact points of a push from where it meets the object [m], object frame, shape (W, 2).
+    """Contact points of a push from the first contact on [m], object frame, shape (W, 2).
 
-    None of other trials, nor where the camera saw too little.
+    Empty, of shape (0, 2), for other trials and where the camera measured too few poses.
     """
     if not trajectory.action.pushes:
         return np.empty((0, 2))

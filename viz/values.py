@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 LEVEL, DEVIATIONS = "90 %", 1.645
 """Probability of an interval, and its half width in standard deviations."""
 MOST_FRAMES = 200
-"""Largest number of moments of a recording; more show nothing more."""
+"""Largest number of frames of a recording."""
 ARC, WAY = math.radians(70), 0.05
 """Longest part of a motion that its arrow covers: angle [rad], and length [m]."""
 IN_PLACE, PLACE_RADIUS = 0.008, 0.012
-"""A turn whose radius [m] is below the first is drawn with the second."""
+"""Radius [m] below which a turn counts as in place, and radius [m] with which it is then drawn."""
 NUMBER_AWAY = 0.035
-"""Distance of an action's number from its mark, over the size of the drawing."""
+"""Distance of an action's number from its mark, relative to the size of the drawing."""
 FINE = 24
 """Points along a stroke of the drawing."""
 _SUPPORT_NAMES = {"own_weight": "own weight", "rigid": "rigid body"}
@@ -48,7 +48,7 @@ def evenly(count: int, most: int = MOST_FRAMES) -> Int[np.ndarray, "F"]:
 
 @dataclass(frozen=True, eq=False)
 class EstimateView:
-    """An estimate with all that is known about it."""
+    """An estimate as it is drawn: answer, truth, iterations and facts."""
 
     title: str
     """Object, method and sensing."""
@@ -87,7 +87,7 @@ class EstimateView:
 
     @property
     def method(self) -> str:
-        """Name of the method."""
+        """Name of the method; the title where the facts have none."""
         return self.facts.get("method", self.title)
 
     @property
@@ -109,12 +109,12 @@ class EstimateView:
     @property
     def nad(self) -> float | None:
         """Normalized absolute difference, the paper's eta_1: sum of `difference` over the true mass."""
-        off, truth = self.difference, self.true_mass
-        return None if off is None or truth is None else float(off.sum() / truth.sum())
+        difference, truth = self.difference, self.true_mass
+        return None if difference is None or truth is None else float(difference.sum() / truth.sum())
 
     @property
     def half_width(self) -> Float[np.ndarray, "n_m"] | None:
-        """Half of the interval of each group's mass [kg]; NaN where the variance is not known or infinite."""
+        """Half width of the interval of each group's mass [kg]; NaN where the variance is unknown or infinite."""
         if self.covariance is None:
             return None
         variance = np.diagonal(self.covariance)
@@ -123,15 +123,15 @@ class EstimateView:
 
     @property
     def iterates(self) -> tuple[Int[np.ndarray, "F"], Float[np.ndarray, "F n_m"]] | None:
-        """Iterations, and the mass of each group [kg] at them; the last is the answer, which may be the only one."""
+        """Iterations and the mass of each group at them [kg]; the last entry, or the only one, is the answer."""
         mass = self.mass
         if mass is None:
             return None
         if not self.traces or not self.traces[0].mass.size:
             return np.zeros(1, dtype=np.int64), mass[None]
-        way = self.traces[0].mass * self.shape.particles_per_group
-        kept = evenly(len(way), MOST_FRAMES - 1)
-        return np.append(kept, len(way)), np.vstack([way[kept], mass])
+        traced = self.traces[0].mass * self.shape.particles_per_group
+        kept = evenly(len(traced), MOST_FRAMES - 1)
+        return np.append(kept, len(traced)), np.vstack([traced[kept], mass])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +145,11 @@ class WrenchFit:
     measured: Float[np.ndarray, "T 3"]
     """Measured wrench after tare and tool compensation."""
     steady: Bool[np.ndarray, "T"]
-    """True where an estimator is given the sample."""
+    """True at the samples that estimators use."""
     predicted: Float[np.ndarray, "T 3"]
     """Predicted wrench; NaN outside the steady stretches, or everywhere without a model."""
     band: Float[np.ndarray, "T 3"]
-    """Half the width of the band around the prediction in which the sensor's errors leave 95 % of single samples."""
+    """Half width of the band around the prediction that holds 95 % of single samples, by the sensor's errors."""
     frame: str = "object axes, about the grasp point"
     """Axes and reference point."""
 
@@ -168,7 +168,7 @@ class WrenchFit:
 
 @dataclass(frozen=True, eq=False)
 class TrialView:
-    """A trial with all that is known about it."""
+    """A trial as it is drawn: trajectory, poses, wrench and facts."""
 
     title: str
     """Object and action."""
@@ -187,7 +187,7 @@ class TrialView:
     truth: MassDistribution | None = None
     """True masses and friction; None on a real object."""
     feet: FootForces | None = None
-    """Forces on the feet; None where they are not known."""
+    """Forces on the feet; None where they were not recorded."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Further facts by name."""
 
@@ -197,7 +197,7 @@ class ActionArrow:
     """An action as it is drawn on the object, object frame."""
 
     grasp: Float[np.ndarray, "2"]
-    """Grasp point, or where a push meets the object [m]."""
+    """Grasp point, or first contact point of a push [m]."""
     pivot: Float[np.ndarray, "2"] | None
     """Center of the turn [m]; None for a slide or a push."""
     way: Float[np.ndarray, "N 2"]
@@ -207,7 +207,7 @@ class ActionArrow:
 
     @staticmethod
     def of(shape: ObjectShape, action: Action) -> ActionArrow:
-        """Arrow along the first part of an action's motion; of a push, along the way to the object."""
+        """Arrow along the first part of an action's motion; for a push, along its approach."""
         hand = action.hand(shape)[0]
         if not action.turns:
             ends = [-1.0, 0.0] if action.pushes else [0.0, 1.0]
@@ -236,7 +236,7 @@ class ActionArrow:
 
 @dataclass(frozen=True, eq=False)
 class ActionsView:
-    """T actions on one object, as they are drawn."""
+    """T actions on one object."""
 
     shape: ObjectShape
     """Geometry of the object."""
@@ -256,22 +256,22 @@ class ActionsView:
 
     @property
     def strokes(self) -> Float[np.ndarray, "N 2"]:
-        """Points along every line of the drawing, and its marks [m]."""
+        """Points along every line of the drawing, and its marks [m], object frame."""
         marks = [*(arrow.strokes for arrow in self.arrows.values()), *(point[None] for point in self.lifts.values())]
         return np.vstack([np.empty((0, 2)), *marks])
 
     @property
     def number_places(self) -> dict[int, Float[np.ndarray, "2"]]:
-        """Middles of the actions' numbers [m], by number: each beside its mark, where the least of the drawing is."""
+        """Centers of the actions' labels [m], by number: near the mark, farthest from strokes and earlier labels."""
         arrows, lifts = self.arrows, self.lifts
         away = NUMBER_AWAY * float(np.ptp(self.bounds, axis=0).max())
         angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         around = away * np.column_stack([np.cos(angles), np.sin(angles)])
         drawn, places = self.strokes, {}
         for number in sorted(arrows | lifts):
-            tries = (arrows[number].label if number in arrows else lifts[number]) + around
-            gaps = np.linalg.norm(tries[:, None] - drawn, axis=-1).min(axis=1)
-            places[number] = tries[int(gaps.argmax())]
+            candidates = (arrows[number].label if number in arrows else lifts[number]) + around
+            gaps = np.linalg.norm(candidates[:, None] - drawn, axis=-1).min(axis=1)
+            places[number] = candidates[int(gaps.argmax())]
             drawn = np.vstack([drawn, places[number]])
         return places
 
@@ -284,14 +284,14 @@ class ActionsView:
 
 @dataclass(frozen=True, eq=False)
 class PlanView(ActionsView):
-    """A plan of T actions, and the errors that are expected after them."""
+    """A plan of T actions, and the expected errors of the masses after them."""
 
     errors: Float[np.ndarray, "T+1 n_m"]
     """Expected standard error of each group's mass [kg]: after the weighing, then after each action."""
     title: str
     """Object and settings."""
     words: tuple[str, ...] = ()
-    """Each action in words."""
+    """Description of each action."""
 
     @property
     def grams(self) -> Float[np.ndarray, "T+1 n_m"]:

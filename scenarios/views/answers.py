@@ -1,4 +1,4 @@
-"""Answers of a results folder as people read them: on the terminal, as a table and as plain data."""
+"""Answers of a results folder: for the terminal, as a table and as plain data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viz.report.answers import Answer, answer_fields, answer_rows
 
 
 def answers_of(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
-    """Answers of rows that came to an end, by object and support.
+    """Answers of the rows with stored files, by object and support.
 
     Raises:
         HeftError: a file of an estimate is damaged.
@@ -34,7 +34,7 @@ def answers_of(folder: Path, rows: Sequence[Row]) -> list[list[Answer]]:
 
 
 def write_answers(folder: Path, groups: Sequence[Sequence[Answer]]) -> list[Path]:
-    """Write masses.csv, a row a number, and masses.json into a results folder; returns their paths."""
+    """Write masses.csv, one row per quantity, and masses.json into a results folder; returns their paths."""
     answers = [answer for group in groups for answer in group]
     table, fields = pd.DataFrame(answer_rows(answers)), [answer_fields(answer) for answer in answers]
     write_whole(folder / "masses.csv", lambda part: table.to_csv(part, index=False))
@@ -43,7 +43,7 @@ def write_answers(folder: Path, groups: Sequence[Sequence[Answer]]) -> list[Path
 
 
 def support_verdict(estimate: Estimate) -> tuple[str, str]:
-    """Verdict of the trials on the support: in a word or two, and in a sentence where it was tested."""
+    """Verdict of the trials on the support in one to three words, and in a sentence, empty without a test."""
     numbers = estimate.diagnostics
     if any(name not in numbers for name in EVIDENCE):
         return ("assumed" if estimate.assumes else "not tested"), ""

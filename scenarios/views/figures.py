@@ -24,31 +24,31 @@ from viz.report.tables import MOST_OBJECTS, by_setting
 from viz.values import support_name
 
 TRIALS_A_FIGURE = 4
-"""Wrench fits that fit side by side on a page."""
+"""Largest number of wrench fits side by side on a page."""
 
 
 def figures(folder: Path, what: Row | None = None) -> list[Path]:
-    """Write figures into folder/figures, each whole or not at all; their paths.
+    """Write figures into folder/figures, each whole or not at all; returns their paths.
 
     Args:
         folder: results folder.
-        what: one of its rows; None for what there is to say of all of them.
+        what: row of the estimate to draw; None for the figures of the whole folder.
 
     Raises:
-        InvalidValueError: no results, or an estimate that does not say what it is of.
-        HeftError: a file that is damaged.
+        InvalidValueError: no estimates in the folder.
+        HeftError: a file is damaged.
     """
     drawn = _of_all(folder) if what is None else _of_estimate(folder, what)
     return [path for name, figure in drawn for path in save_figure(figure, inside(folder, "figures", file_name(name)))]
 
 
 def file_name(title: str) -> str:
-    """Letters, digits, dots, dashes and underscores, and nothing else."""
+    """File name of a title, in letters, digits, dots, dashes and underscores."""
     return re.sub(r"[^A-Za-z0-9.-]+", "_", title.replace("/", " per ")).strip("_.")
 
 
 def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
-    """NAD by method and against every swept setting, differences by object, and losses."""
+    """Names and figures of a folder: NAD by method and against swept settings, differences by object, and losses."""
     rows = [row for row in load_rows(folder) if row["method"]]
     if not rows:
         raise InvalidValueError("DIR", str(folder), "a results folder with estimates, as `heft run` makes it")
@@ -69,7 +69,7 @@ def _of_all(folder: Path) -> Iterator[tuple[str, Figure]]:
 
 
 def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
-    """Maps, bars, losses, and how the answer explains each of its trials."""
+    """Names and figures of an estimate: maps, bars, losses, and the wrench of its trials, measured and predicted."""
     shown = estimate_view(folder, row)
     name = f"{row['object']} {row['method']} {str(row['key'])[:8]}"
     yield f"{name} maps", estimate_maps(shown)
@@ -83,7 +83,7 @@ def _of_estimate(folder: Path, row: Row) -> Iterator[tuple[str, Figure]]:
 
 
 def _shapes(folder: Path, rows: Sequence[Row]) -> dict[str, ObjectShape]:
-    """Geometry of each object with known masses; none where something is swept, or there are too many for a picture."""
+    """Geometry of each object with known masses; empty in a sweep, or for more than MOST_OBJECTS objects."""
     answered = [row for row in reversed(rows) if row.get("key") and row["mass_kg"] is not None]
     first = {row["object"]: row for row in answered if row["true_mass_kg"] is not None}
     if axes_of(rows) or len(first) > MOST_OBJECTS:

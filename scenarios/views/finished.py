@@ -1,4 +1,4 @@
-"""Views of a finished run: figures, recording and report, side by side on its workers."""
+"""Views of a finished run: figures, recording and report, in parallel on its workers."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from testbed.errors import HeftError
 
 
 def write_views(folder: Path, rows: Sequence[Row], executor: Executor, *, recording: bool) -> Iterator[str]:
-    """Write figures, report and recording of a finished run; a line for each file, or for why there is no recording.
+    """Write figures, report and recording of a finished run.
 
     Args:
         folder: results folder.
         rows: its rows.
-        executor: idle; its workers write.
-        recording: True for a recording of all of it as well.
+        executor: idle executor, whose workers write.
+        recording: True to write a recording of the whole run too.
+
+    Yields:
+        A line for each file, or for the reason why a view is missing.
 
     Raises:
-        HeftError: figures or report could not be made; what could is there.
+        HeftError: figures or report could not be written; the other views are there.
     """
     root = folder.absolute()
     executor.start("worst", record_worst, root, rows)
@@ -34,7 +37,7 @@ def write_views(folder: Path, rows: Sequence[Row], executor: Executor, *, record
         name, value = executor.wait()
         written[name] = value
         if name == "worst":
-            executor.start("report", report, root)  # it has links to them
+            executor.start("report", report, root)  # it links to the recordings of the worst
             if recording:
                 executor.start("recording", record_results, root)
     for name, value in sorted(written.items()):

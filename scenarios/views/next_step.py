@@ -33,51 +33,50 @@ CANDIDATES = 60
 
 
 def next_step(folder: Path, rows: Sequence[Row], answer: Answer) -> str:
-    """Next step after one answer, in a sentence: look for an error, weigh again, make one more trial, or stop.
+    """Next step after an answer, in a sentence: look for an error, weigh again, make one more trial, or stop.
 
-    The trial is the one that teaches most a second, of those that the planner considers; whether the arm reaches it is
-    not checked.
+    The proposed trial gains most information per second among the planner's candidates; whether the arm can reach it
+    is not checked.
 
     Args:
         folder: results folder.
-        rows: rows of results.parquet, the answer's among them.
-        answer: what it says.
+        rows: rows of results.parquet, with that of the answer.
+        answer: answer of one method on one object.
 
     Raises:
         HeftError: a file of the folder is damaged.
     """
-    of = (answer.object, answer.support, answer.method)
-    row = next(row for row in rows if has_files(row) and (row["object"], row["support"], row["method"]) == of)
+    identity = (answer.object, answer.support, answer.method)
+    row = next(row for row in rows if has_files(row) and (row["object"], row["support"], row["method"]) == identity)
     found = load_estimate(folder, row["key"])
     if not answer.shape.grasps:
         return "next: nothing: the object has no grasp, so no turn can be planned"
     shape, (weighing, *trials) = answer.shape, trials_behind(folder, row)
-    if doubt := _doubt(folder, found, shape, weighing, trials):
-        return f"next: {doubt}"
+    if error := _error_of_trials(folder, found, shape, weighing, trials):
+        return f"next: {error}"
     supports = SUPPORTS if answer.evidence else ASSUMED_SUPPORTS.get(answer.support, SUPPORTS[:1])
     guess = Guess(weight_of(weighing), preset("ft300s").stated, supports=supports)
-    known: Any = SimpleNamespace(estimate=lambda *_: found)  # the answer that is there
-    policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=known)
+    stored: Any = SimpleNamespace(estimate=lambda *_: found)
+    policy = OnlinePolicy(guess, candidates=CANDIDATES, estimator=stored)
     decision = policy.decide(shape, trials)
-    sure = f"the expected error of the masses, taken together, is {100 * decision.nad:.2g} % of the whole"
-    noted = f"; {found.message}" if found.status == "ok" and found.message else ""
+    expected = f"the expected error of the masses, taken together, is {100 * decision.nad:.2g} % of the whole"
+    note = f"; {found.message}" if found.status == "ok" and found.message else ""
     if decision.action is None or (decision.answered and decision.nad < ENOUGH):
         if decision.answered and all(trial.setup.none for trial in trials):
             return (
-                f"next: {sure}, if contacts, friction, grasps, arm and sensor are exact, as the trials state them: "
-                f'[setup] preset = "lab" has the errors of a usual lab{noted}'
+                f"next: {expected}, if contacts, friction, grasps, arm and sensor are exact, as the trials state them: "
+                f'[setup] preset = "lab" has the errors of a usual lab{note}'
             )
-        return f"next: nothing more is needed: {sure}{noted}" if decision.answered else f"next: {decision.why}"
-    error = decision.standard_error
-    worst = [shape.group_names[g] for g in np.argsort(-error)[:2]]
-    least = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
-    return f"{least}, {sure}{noted}" if decision.answered else f"{least}; the trials give no answer yet"
+        return f"next: nothing more is needed: {expected}{note}" if decision.answered else f"next: {decision.why}"
+    worst = [shape.group_names[g] for g in np.argsort(-decision.standard_error)[:2]]
+    trial = f"next: {decision.action.describe(shape)}: it would teach most; {' and '.join(worst)} are known least"
+    return f"{trial}, {expected}{note}" if decision.answered else f"{trial}; the trials give no answer yet"
 
 
-def _doubt(
+def _error_of_trials(
     folder: Path, found: Estimate, shape: ObjectShape, weighing: Trajectory, trials: Sequence[Trajectory]
 ) -> str:
-    """Error of the trials (motion, weight or residual), in words; empty if there is none."""
+    """Description of an error of the trials (motion, weight or residual); empty without an error."""
     if wrong := wrong_motion(shape, trials):
         return f"the trials are not what their actions say: {'; '.join(wrong)}"
     weight = check_weight(shape, weight_of(weighing), trials, found)

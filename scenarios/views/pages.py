@@ -1,4 +1,4 @@
-"""Recordings of what a results folder holds: a trial, an estimate, an object, or all of it."""
+"""Recordings of a results folder: of a trial, an estimate, an object, or the whole folder."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ from viz.report.lists import worst_of
 from viz.values import EstimateView, TrialView
 
 MOST_NAMED = 12
-"""Objects that an error lists."""
+"""Largest number of objects in a message."""
 
 
 def page_of(folder: Path, what: str | None) -> Page:
-    """Page of an object, or of the trial or estimate whose key begins so.
+    """Page of an object, a trial, an estimate, or the whole folder.
 
     Args:
-        folder: results folder, of a finished run or of one that still runs.
-        what: None is every object under every method.
+        folder: results folder of a finished or a running run.
+        what: name of an object, or beginning of the key of a trial or an estimate; None for every object under every
+            method.
 
     Raises:
-        InvalidValueError: nothing is called so, or more than one thing is.
+        InvalidValueError: `what` is no object, and the beginning of no key or of several.
         HeftError: a file of it is damaged.
     """
     check_results(folder)
@@ -62,7 +63,7 @@ def page_of(folder: Path, what: str | None) -> Page:
 
 
 def trial_page(folder: Path, key: str, *, light: bool = False) -> Page:
-    """One trial; `light`, with capsules for an arm, at a tenth of the size."""
+    """Page of one trial; `light` draws the arm as capsules, at a tenth of the size."""
     return page_of_trial(trial_view(folder, key, meshes=not light), f"trial {key}")
 
 
@@ -78,8 +79,8 @@ def page_of_trial(shown: TrialView, identity: str) -> Page:
 
 
 def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
-    """One estimate, the trials behind it as it explains them, and one of these whole; `light`, without the last."""
-    row = Store(folder).result(key)  # its own file: a sweep records each estimate as it is done
+    """Page of one estimate: its maps, the wrench fits of its trials, and a typical trial, which `light` leaves out."""
+    row = Store(folder).result(key)  # from its own file, which is there before the table of the sweep
     if row is None:
         raise InvalidValueError("WHAT", key, f"an estimate of {folder} with a whole result.json")
     row |= {"key": key}
@@ -87,7 +88,7 @@ def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
     explained = fits_of(folder, row, shown)
     fits = [fit for _, _, fit in explained]
     typical, trial = typical_trial(folder, row), None
-    as_sensed = next((trajectory for of, trajectory, _ in explained if of == typical.folder.name), None)
+    as_sensed = next((trajectory for key, trajectory, _ in explained if key == typical.folder.name), None)
     if as_sensed is not None and not light:
         facts = {"sensing": f"{row['sensing']}, draw {row['seed']}"}
         trial = recorded_view(typical, as_sensed, shown.shape, shown.answer, f"{shown.method}'s masses", facts)
@@ -105,12 +106,12 @@ def estimate_page(folder: Path, key: str, *, light: bool = False) -> Page:
 
 
 def object_page(folder: Path, name: str) -> Page:
-    """One object under every method: a tab for every support, sensor and point of a sweep."""
+    """Page of one object under every method: a tab for every support, sensor and point of a sweep."""
     return _comparisons(folder, [name], f"{name} in {folder.resolve().name}", f"object {name} {folder.resolve()}")
 
 
 def folder_page(folder: Path) -> Page:
-    """Every object under every method."""
+    """Page of every object under every method."""
     objects = list(dict.fromkeys(row["object"] for row in load_rows(folder) if row.get("trial_keys") is not None))
     if not objects:
         raise InvalidValueError("DIR", str(folder), "a results folder with an estimate that is done")
@@ -168,7 +169,7 @@ def record_results(folder: Path) -> Path:
 
 
 def record_worst(folder: Path, rows: Sequence[Row]) -> None:
-    """Record the estimates that the report names as the worst, without the robot: the report has links to them."""
+    """Record the worst estimates of the report, which links to them; without a trial's robot."""
     for row in itertools.chain(*worst_of(rows)):
         if has_files(row) and row.get("trial_keys") is not None:
             path = recording_path(folder, row["key"])
@@ -178,16 +179,16 @@ def record_worst(folder: Path, rows: Sequence[Row]) -> None:
 
 @dataclass(frozen=True)
 class Recorder:
-    """Receiver of every trial and estimate that is done; records it, and sends it to a viewer."""
+    """Receiver of finished trials and estimates; writes their recordings, or sends them to a viewer."""
 
     folder: Path
     files: bool = False
-    """Write each to its file."""
+    """True to write recordings to files."""
     url: str | None = None
-    """Viewer to send each to."""
+    """Address of a viewer to which recordings are sent."""
 
     def __call__(self, kind: str, key: str) -> None:
-        """Record one that is done; `kind` is "trial" or "estimate". One that cannot be drawn is named and left out."""
+        """Record a finished "trial" or "estimate"; one that cannot be drawn is reported and left out."""
         make = trial_page if kind == "trial" else estimate_page
         if kind == "trial" and kind_of_trial(self.folder, key) == "weigh":
             return

@@ -32,22 +32,22 @@ def report(folder: Path) -> Path:
     """Write report.html into a results folder, whole or not at all; returns its path.
 
     Raises:
-        InvalidValueError: there are no results in the folder.
+        InvalidValueError: a folder without results.
         HeftError: results that are damaged, or of another version of heft.
     """
     manifest = unless_damaged(lambda: read_manifest(folder), "left out") or {}
     table = folder / "results.parquet"
     scenario = manifest.get("scenario") or {}
-    place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}  # then the others
+    place = {Path(path).stem: i for i, path in enumerate(scenario.get("objects", ()))}  # other objects follow
     rows = sorted(load_rows(folder) if table.is_file() else [], key=lambda row: place.get(row["object"], len(place)))
-    measured = select(rows, sensing=SENSING)  # of simulated trials the errors say more than the answers
+    measured = select(rows, sensing=SENSING)  # simulated trials have errors, which say more than answers
     if not rows:
         raise InvalidValueError("DIR", str(folder), "a folder with a results.parquet; `heft run` makes one")
     name = str(manifest.get("name") or folder.resolve().name)
     results = Results(
         name=name,
         facts=_facts(manifest, rows, table),
-        methods={label: _settings(scenario.get("methods", {}).get(label, {})) for label in _each(rows, "method")},
+        methods={label: _settings(scenario.get("methods", {}).get(label, {})) for label in _distinct(rows, "method")},
         command=str(manifest.get("command") or _command(name, scenario)),
         scenario_toml=toml_text(scenario),
         rows=rows,
@@ -55,7 +55,7 @@ def report(folder: Path) -> Path:
         losses=load_losses(folder, rows),
         tracebacks=load_tracebacks(folder),
         recording_of=lambda key: name if (folder / (name := f"recordings/{key}.rrd")).is_file() else "",
-        bad_trials=_bad(folder),
+        bad_trials=_bad_trials(folder),
         answers=unless_damaged(lambda: answers_of(folder, measured), "left out") or [],
         trials_of=lambda name: unless_damaged(
             lambda: trials_view(folder, select(rows, object=name)), "its trials are left out"
@@ -66,16 +66,16 @@ def report(folder: Path) -> Path:
 
 
 def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dict[str, str]:
-    """Facts of the run by name, as far as they are known."""
+    """Known facts of the run, by name."""
     scenario = manifest.get("scenario") or {}
     packages = manifest.get("packages") or {}
     seconds = [row["seconds"] for row in rows if row.get("seconds") is not None]
-    axes = {axis.removeprefix(AXIS): _each(rows, axis) for axis in axes_of(rows)}
+    axes = {axis.removeprefix(AXIS): _distinct(rows, axis) for axis in axes_of(rows)}
     wall = manifest.get("wall_s")
     facts = {
-        "objects": names(_each(rows, "object")),
-        "supports": names([support_name(name) for name in _each(rows, "support")]),
-        "sensing": names(_each(rows, "sensing")),
+        "objects": names(_distinct(rows, "object")),
+        "supports": names([support_name(name) for name in _distinct(rows, "support")]),
+        "sensing": names(_distinct(rows, "sensing")),
         "seeds": f"{scenario['seeds']} draws of the sensor's errors" if "seeds" in scenario else "",
         "swept": "; ".join(f"{axis}: {names(values)}" for axis, values in axes.items()),
         "results written": datetime.fromtimestamp(table.stat().st_mtime, UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -88,7 +88,7 @@ def _facts(manifest: Mapping[str, Any], rows: Sequence[Row], table: Path) -> dic
 
 
 def _robot_time(rows: Sequence[Row]) -> str:
-    """Mean robot time of an object under one support; the same trials serve every method."""
+    """Mean robot time of an object under one support; trials, which all methods share, count once."""
     labels = ("object", "support", "sensing", "seed")
     once = {
         (*(row[name] for name in labels), *(str(v) for k, v in row.items() if k.startswith(AXIS))): row["robot_s"]
@@ -106,8 +106,8 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def _each(rows: Sequence[Row], column: str) -> list[str]:
-    """Values of a column, in the order of the rows."""
+def _distinct(rows: Sequence[Row], column: str) -> list[str]:
+    """Distinct values of a column, in the order of the rows."""
     return list(dict.fromkeys(str(row[column]) for row in rows if row.get(column) not in (None, "")))
 
 
@@ -116,7 +116,7 @@ def _settings(settings: Mapping[str, Any]) -> str:
 
 
 def _command(name: str, scenario: Mapping[str, Any]) -> str:
-    """`heft run`, with what differs from the library's scenario; or with a file to be made of the one shown."""
+    """Command that repeats the run: with options for a scenario of the library, else with a file of the one shown."""
     with suppress(ValueError):  # an older scenario
         if name in scenario_names():
             ran, base = Scenario.model_validate(scenario), load_scenario(name)[1]
@@ -128,7 +128,7 @@ def _command(name: str, scenario: Mapping[str, Any]) -> str:
 
 
 def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> ObjectShape | None:
-    """Geometry of an object: from the folder, the scenario, the library or a trial; None if it is not the same now."""
+    """Geometry of an object from the folder, the scenario, the library or a trial; None where its groups changed."""
     row = next((row for row in rows if row["object"] == name and row.get("group_names") is not None), None)
     drawn = [str(path) for path in sorted((folder / "objects").glob("*/*.toml")) if path.stem == name]
     files = [path for path in scenario.get("objects", ()) if Path(path).stem == name]
@@ -150,8 +150,8 @@ def _shape(name: str, scenario: Mapping[str, Any], rows: Sequence[Row], folder: 
     return None
 
 
-def _bad(folder: Path) -> dict[tuple[str, str], list[str]]:
-    """Keys of the trials that are no data, by status and reason."""
+def _bad_trials(folder: Path) -> dict[tuple[str, str], list[str]]:
+    """Keys of the trials whose status is not ok, by status and reason."""
     found: dict[tuple[str, str], list[str]] = {}
     for place, trial in stored(folder, "trials"):
         if trial is not None and trial.get("status", "?") != "ok":

@@ -1,4 +1,4 @@
-"""One call that shows an object, a trajectory, estimates or a results folder in Rerun."""
+"""`heft.show`: an object, a trajectory, estimates or a results folder in Rerun."""
 
 from __future__ import annotations
 
@@ -114,35 +114,35 @@ def _page(what: object, obj: ObjectModel | ObjectShape | None, answer: Estimate 
 
 
 def _identity(what: object) -> str:
-    """Identifier that no other page of this process has."""
+    """Identifier that is unique in time and over processes."""
     return f"{type(what).__name__} {os.getpid()}-{time.time_ns()}"
 
 
 def _model(what: object, obj: ObjectModel | ObjectShape | None) -> ObjectModel:
-    """The object, of unknown masses where its shape alone is given."""
+    """Model of an object; with unknown masses for a shape."""
     if isinstance(obj, ObjectModel):
         return obj
     if isinstance(obj, ObjectShape):
-        nothing = MassDistribution(np.ones(obj.n_m), np.ones(obj.n_mu))
-        return ObjectModel("object", obj, nothing, masses_known=False)
+        placeholder = MassDistribution(np.ones(obj.n_m), np.ones(obj.n_mu))
+        return ObjectModel("object", obj, placeholder, masses_known=False)
     raise InvalidValueError("obj", type(obj).__name__, f"the ObjectModel or ObjectShape of this {type(what).__name__}")
 
 
 def _trial_page(trajectory: Trajectory, obj: ObjectModel, answer: Estimate | None) -> Page:
-    """Page of a trajectory; its wrench is predicted from an answer, or from the true masses of a simulated one."""
+    """Page of a trajectory, with the wrench predicted from an answer, else from a simulated object's true masses."""
     grasp, known = trajectory.action.grasp, len(obj.shape.grasps)
     if grasp is not None and grasp >= known:
         allowed = f"the object of this trajectory, of grasp {grasp}: this one has {known}"
         raise InvalidValueError("obj", obj.name, allowed)
-    masses, called = (obj.truth, "the true masses") if trajectory.simulated and obj.masses_known else (None, "")
+    masses, name = (obj.truth, "the true masses") if trajectory.simulated and obj.masses_known else (None, "")
     if answer is not None:
-        masses, called = answer.distribution, "the estimate"
+        masses, name = answer.distribution, "the estimate"
     pads = pads_of(obj.shape, trajectory.action)
-    return page_of_trial(view_of(obj, trajectory, pads, obj.shape, masses, called, {}), _identity(trajectory))
+    return page_of_trial(view_of(obj, trajectory, pads, obj.shape, masses, name, {}), _identity(trajectory))
 
 
 def _view(answer: Estimate, obj: ObjectModel, method: str) -> EstimateView:
-    """View of an estimate beside the true masses, where they are known."""
+    """View of an estimate, with the true masses where they are known."""
     return EstimateView(
         title=f"{obj.name}: {method}",
         shape=obj.shape,
@@ -168,9 +168,9 @@ def _in_notebook() -> bool:
 
 
 def _inline(page: Page) -> None:
-    """Show a page as the output of a notebook's cell; the viewer comes from its package, not from the network."""
+    """Show a page as the output of a notebook's cell; the viewer is loaded from its package, not from the network."""
     os.environ.setdefault("RERUN_NOTEBOOK_ASSET", "inline")
-    from rerun.notebook import Viewer  # noqa: PLC0415  it reads the variable when it is imported
+    from rerun.notebook import Viewer  # noqa: PLC0415  the module reads the variable on import
 
     stream = rr.RecordingStream(APPLICATION, recording_id=page.identity)
     inline = Viewer(width="auto", height=HEIGHT, recording=stream, blueprint=page.blueprint)

@@ -1,4 +1,4 @@
-"""Values that `viz` draws, loaded from a results folder: trials, estimates, and how an estimate explains a trial."""
+"""Values that `viz` draws, from a results folder: trials, estimates, and the wrench that an estimate predicts."""
 
 from __future__ import annotations
 
@@ -37,27 +37,27 @@ from viz.trials import TrialsView
 from viz.values import EstimateView, TrialView, WrenchFit, support_name
 
 POSES_EVERY = 5
-"""Number of samples from one pose of the robot to the next."""
+"""Stride of the samples with a pose of the robot."""
 WITHIN = 1.96
-"""Standard deviations to each side that hold 95 %."""
+"""Half width of a 95 % interval [standard deviations]."""
 PLANAR = (0, 1, 5)
 """Force x, y and torque z of a wrench."""
 
 
 def sensing_of(folder: Path) -> str:
-    """Sensor of a folder's simulated trials in the viewer: the scenario's first one with errors, else a perfect one."""
+    """Default sensor of simulated trials in views: the scenario's first one with errors, else a perfect one."""
     names = ((read_manifest(folder) or {}).get("scenario") or {}).get("sensing") or []
     return next((name for name in names if name != "ideal"), "ideal")
 
 
 def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) -> TrialView:
-    """A trial by its key; a simulated one is given a draw of the sensor's errors, and the true masses as a model.
+    """View of a trial; a simulated one has a draw of the sensor's errors, and the true masses as its model.
 
     Args:
         folder: results folder.
-        key: whole, or a beginning that no other has.
-        seed: of the draw; another one where methods were given the trial with others alone.
-        meshes: dress the arm in its own meshes where the extra "meshes" is installed.
+        key: key of the trial, or a unique beginning of it.
+        seed: draw of the sensor's errors; replaced by a draw of the results where none of them has this one.
+        meshes: True to draw the arm with its own meshes where the extra "meshes" is installed.
 
     Raises:
         InvalidValueError: a weighing, where nothing moves.
@@ -67,7 +67,7 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
     trajectory, sensor = record.trajectory, "as measured"
     if trajectory.simulated:
         whole, sensing = record.folder.name, sensing_of(folder)
-        row = _given(folder, whole, sensing, seed)
+        row = _row_with(folder, whole, sensing, seed)
         index, sensor = 0, f"{sensing}, an example draw"
         if row is not None:
             index, sensing, seed = list(row["trial_keys"]).index(whole), row["sensing"], int(row["seed"])
@@ -75,18 +75,18 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
         trajectory = sensed(trajectory, sensing, seed, index, whole, Store(folder).secret)
     model = record.object.truth if trajectory.simulated else None
     apart = record.object.shape.stands_in_groups
-    called = f"the true masses, {'each on its own weight' if apart else 'one rigid body'}"
-    return recorded_view(record, trajectory, record.object.shape, model, called, {"sensing": sensor}, meshes=meshes)
+    name = f"the true masses, {'each on its own weight' if apart else 'one rigid body'}"
+    return recorded_view(record, trajectory, record.object.shape, model, name, {"sensing": sensor}, meshes=meshes)
 
 
-def _given(folder: Path, key: str, sensing: str, seed: int) -> Row | None:
-    """Row of an estimate from a trial, by this sensor and draw where there is one; None without a table of results."""
+def _row_with(folder: Path, key: str, sensing: str, seed: int) -> Row | None:
+    """Row of an estimate from a trial, preferably of this sensor and draw; None without such a row or any table."""
     if not (folder / TABLE).is_file():
         return None
     frame = unless_damaged(lambda: load_results(folder), "an example draw is shown")
     rows = [] if frame is None else rows_of(frame.reindex(columns=["trial_keys", "sensing", "seed"]))
-    of = [row for row in rows if row["trial_keys"] is not None and key in row["trial_keys"]]
-    return min(of, key=lambda row: (row["sensing"] != sensing, row["seed"] != seed), default=None)
+    own = [row for row in rows if row["trial_keys"] is not None and key in row["trial_keys"]]
+    return min(own, key=lambda row: (row["sensing"] != sensing, row["seed"] != seed), default=None)
 
 
 def recorded_view(
@@ -94,7 +94,7 @@ def recorded_view(
     trajectory: Trajectory,
     shape: ObjectShape,
     model: MassDistribution | None,
-    called: str,
+    model_name: str,
     facts: dict[str, str],
     *,
     meshes: bool = True,
@@ -113,7 +113,7 @@ def recorded_view(
     }
     forces = load_foot_forces(feet) if feet.is_file() else None
     return view_of(
-        record.object, trajectory, record.pads, shape, model, called, known | facts, feet=forces, meshes=meshes
+        record.object, trajectory, record.pads, shape, model, model_name, known | facts, feet=forces, meshes=meshes
     )
 
 
@@ -123,7 +123,7 @@ def view_of(
     pads: tuple[float, float],
     shape: ObjectShape,
     model: MassDistribution | None,
-    called: str,
+    model_name: str,
     facts: dict[str, str],
     *,
     feet: FootForces | None = None,
@@ -132,15 +132,15 @@ def view_of(
     """View of a trial with the wrench that a model predicts.
 
     Args:
-        obj: object that was moved; its masses are the truth of a simulated trial.
-        trajectory: as sensed.
-        pads: distance between the pads while they held it, and before and after [m].
+        obj: object of the trial; its masses are the truth of a simulated trial.
+        trajectory: trajectory as sensed.
+        pads: distance between the pads while they hold the object, and before and after [m].
         shape: particles of the model.
-        model: masses and friction from which the wrench is predicted; None without.
-        called: name of those masses.
+        model: masses and friction from which the wrench is predicted; None without a prediction.
+        model_name: name of those masses.
         facts: further facts by name.
-        feet: forces on the feet, where they are known.
-        meshes: as `trial_view`.
+        feet: forces on the feet; None where they were not recorded.
+        meshes: as in `trial_view`.
 
     Raises:
         InvalidValueError: a weighing, where nothing moves.
@@ -159,7 +159,7 @@ def view_of(
         poses=body_poses(trajectory, pads, meshes=meshes, every=POSES_EVERY),
         pose_times=trajectory.time_s[::POSES_EVERY],
         fit=wrench_fit(name, trajectory, predicted),
-        model=called if model is not None else "",
+        model=model_name if model is not None else "",
         truth=obj.truth if trajectory.simulated and obj.masses_known else None,
         feet=feet,
         facts={
@@ -173,12 +173,12 @@ def view_of(
 
 
 def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None) -> WrenchFit:
-    """Measured against predicted (T, 3), in the object's axes."""
+    """Wrench fit of a trial, object axes; `predicted` has the shape (T, 3)."""
     steady = np.zeros(len(trajectory.time_s), dtype=bool)
     try:
         for kept in window_samples(trajectory):
             steady[kept] = True
-    except InvalidValueError:  # cut short before it was steady: it is still worth seeing
+    except InvalidValueError:  # a trial that ended before its steady window is drawn too
         pass
     measured = wrench_in_object(trajectory)[:, PLANAR]
     deviation = sample_deviation(trajectory)[list(PLANAR)]
@@ -218,14 +218,14 @@ def estimate_view(folder: Path, row: Row) -> EstimateView:
 
 
 def _shape(folder: Path, row: Row, true: ObjectModel) -> ObjectShape:
-    """Shape as the estimator saw it, with the particles of its own grid."""
+    """Shape with the particles of the estimator's grid."""
     arrays = load_arrays(folder, row["key"])
     own = {name: arrays[name] for name in ("particles", "mass_group", "friction_group", "fill")}
     return replace(true.shape, **own, cell=float(arrays["cell"]), group_names=tuple(row["group_names"]))
 
 
 def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_mu"]:
-    """The object's friction by the friction groups of an estimator's shape: their mean, where it has more of them."""
+    """True friction of the friction groups of an estimator's shape: means over the nearest particles of the truth."""
     touching = truth.shape.friction_group >= 0
     each = truth.truth.friction[truth.shape.friction_group[touching]]
     near = np.asarray(KDTree(truth.shape.particles[touching]).query(shape.particles)[1])
@@ -233,7 +233,7 @@ def friction_of(truth: ObjectModel, shape: ObjectShape) -> Float[np.ndarray, "n_
 
 
 def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Trajectory, WrenchFit]]:
-    """The moved trials behind an estimate in order: key, record as sensed, and how the answer explains it."""
+    """Key, trajectory as sensed and wrench fit of every trial of an estimate that moves, in order."""
     drawn = zip(row["trial_keys"], trials_behind(folder, row), strict=True)
     moved = [(key, trajectory) for key, trajectory in drawn if trajectory.action.moves]
     predicted: Sequence[np.ndarray | None] = [None] * len(moved)
@@ -246,10 +246,10 @@ def fits_of(folder: Path, row: Row, shown: EstimateView) -> list[tuple[str, Traj
 
 
 def trials_view(folder: Path, rows: Sequence[Row]) -> TrialsView | None:
-    """Trials of one object by its rows, under the first setting and draw, as a perfect sensor and camera saw them.
+    """Trials of one object by its rows, under the first setting and draw, by a perfect sensor and camera.
 
     Returns:
-        None where they are not in the folder any more, or nothing moved.
+        View of the trials; None where they are no longer in the folder, or nothing moves.
 
     Raises:
         DamagedFileError: a file of one is damaged.
@@ -267,7 +267,7 @@ def trials_view(folder: Path, rows: Sequence[Row]) -> TrialsView | None:
 
 
 def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """Comparisons of one object: the setting in words, and the first draw by every method."""
+    """Settings of one object: description, and the rows of every method at the first draw."""
     axes = axes_of(rows)
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -282,21 +282,20 @@ def settings_of(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
 
 
 def typical_trial(folder: Path, row: Row) -> TrialRecord:
-    """The first turn at constant speed behind an estimate, or else what there is.
+    """First turn at constant speed among an estimate's trials, else the first trial that moves, else a weighing.
 
     Raises:
-        InvalidValueError: the estimate does not say which trials it is from.
         HeftError: a file of it is damaged.
     """
     keys = row["trial_keys"]
     kinds = {key: kind_of_trial(folder, key) for key in keys}
-    best = min(keys, key=lambda key: {"rotate": 0, "weigh": 2}.get(kinds[key], 1))  # of equals the first
+    best = min(keys, key=lambda key: {"rotate": 0, "weigh": 2}.get(kinds[key], 1))  # min keeps the first
     return _record(folder, best)
 
 
 @lru_cache(maxsize=4)
 def _record(folder: Path, key: str) -> TrialRecord:
-    """The methods of an object are shown one after the other, with the same trial."""
+    """Record of a trial; cached, since the methods of an object are drawn in turn with the same trial."""
     return read_trial(folder, key)
 
 

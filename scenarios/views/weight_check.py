@@ -1,7 +1,8 @@
-"""Test of the weighing by inertia: what accelerated turns show against what the masses of an answer have.
+"""Test of the weighing: inertia from accelerated turns against the inertia of an answer's masses.
 
-Friction shows masses only up to a factor, which the weighing gives; torque over acceleration has none. A wrong weight
-scales all masses alike and no residual of friction shows it. The misfit counts the inertia too, with a wider limit.
+Friction determines masses only up to a factor, which the weighing sets; torque over acceleration determines their
+absolute size. A wrong weight scales all masses alike and leaves no residual of friction. The misfit includes the
+inertia too, with a larger tolerance.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from testbed.robot.calibration.trial import Finding
 from testbed.trajectory import Trajectory
 
 ALLOWED, SURE = 0.02, 2.0
-"""Allowed error of the inertia, as a part of itself, beside so many standard errors: known blocks have up to 4 %."""
+"""Tolerance of the inertia: a relative error plus a number of standard errors; known blocks have up to 4 %."""
 
 
 def check_weight(
@@ -30,9 +31,9 @@ def check_weight(
 
     Args:
         shape: geometry and groups.
-        weight: M as weighed [kg].
+        weight: weighed mass M [kg].
         trajectories: trials.
-        found: answer to them.
+        found: estimate from the trials.
     """
     trials = TrialWindows.of(shape, weight, trajectories, HiddenStates().errors)
     if trials is None or found.distribution is None or found.hidden is None:
@@ -44,10 +45,12 @@ def check_weight(
     pivots = trials.pivot_inertias(found.distribution, found.hidden.friction_load)
     if pivots is None:
         return None
-    has = inertia_map(shape, pivots.pivot) @ found.distribution.mass
-    weights = np.linalg.solve(pivots.covariance, has)
-    part, error = float(weights @ pivots.inertia / (weights @ has)), float((weights @ has) ** -0.5)
-    ok = abs(part - 1) <= ALLOWED + SURE * error
-    text = f"accelerated turns show {100 * part:.0f} +- {100 * error:.0f} % of the inertia that these masses have"
-    why = "" if ok else f": weigh the object again ({weight:.3g} kg), or check the torque's unit and the object's size"
-    return Finding("inertia", ok, part, text + why)
+    inertia = inertia_map(shape, pivots.pivot) @ found.distribution.mass
+    weights = np.linalg.solve(pivots.covariance, inertia)
+    ratio, error = float(weights @ pivots.inertia / (weights @ inertia)), float((weights @ inertia) ** -0.5)
+    ok = abs(ratio - 1) <= ALLOWED + SURE * error
+    text = f"accelerated turns show {100 * ratio:.0f} +- {100 * error:.0f} % of the inertia that these masses have"
+    advice = (
+        "" if ok else f": weigh the object again ({weight:.3g} kg), or check the torque's unit and the object's size"
+    )
+    return Finding("inertia", ok, ratio, text + advice)

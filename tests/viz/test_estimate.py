@@ -289,7 +289,7 @@ def test_arrows_are_the_particles_velocities(blocks):
     horizon = float((drawn * fast).sum() / (fast**2).sum())
     round_one = min(HORIZONS, key=lambda each: abs(each - horizon))
     assert horizon == pytest.approx(round_one, rel=1e-3)
-    assert f"the way of {round_one:g} s" in entities["e/turn/scene/key"].static["Points2D:labels"][0]
+    assert f"motion in {round_one:g} s" in entities["e/turn/scene/key"].static["Points2D:labels"][0]
     assert_allclose(drawn[2:-2], horizon * fast[2:-2], atol=2e-4)
     still = np.linalg.norm(points - view.shape.grasps[1].position, axis=1).argmin()
     assert np.linalg.norm(ways[:, still], axis=-1).max() < 0.1 * np.linalg.norm(ways, axis=-1).max()

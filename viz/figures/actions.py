@@ -15,11 +15,11 @@ from viz.style import LINK_COLORS, MOST_LINK_COLORS, Scale, action_colors
 from viz.values import ActionArrow, ActionsView
 
 GREY = 0.15
-"""Grey level of the cells under the arrows, 0 to 1."""
+"""Gray level of the cells under the arrows, 0 (white) to 1."""
 
 
 def draw_actions(axis: Axes, view: ActionsView, paths: Mapping[int, Float[np.ndarray, "W 2"]] | None = None) -> None:
-    """Draw the object, and on it the actions numbered from 1; a lift is a triangle at its grasp.
+    """Draw the object and the actions on it, numbered from 1; a lift is a triangle at its grasp.
 
     Args:
         axis: matplotlib's axes.
@@ -47,7 +47,7 @@ def draw_actions(axis: Axes, view: ActionsView, paths: Mapping[int, Float[np.nda
 
 
 def _draw_links(axis: Axes, shape: ObjectShape) -> None:
-    """Draw the cells in gray; of an object in links each link in its color, with its hinges."""
+    """Draw the cells in gray; for an object in links, each link in its color, with the hinges."""
     if shape.chain is None:
         draw_groups(axis, shape, np.full(shape.n_m, GREY), Scale(1.0, "Greys", ""), letters=0.0)
     else:

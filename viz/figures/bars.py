@@ -12,7 +12,7 @@ from viz.values import LEVEL, EstimateView
 
 @mpl.rc_context(STYLE)
 def estimate_bars(view: EstimateView) -> Figure:
-    """Mass of each group: the truth wide and gray, the estimate before it, with its intervals where it has them."""
+    """Mass of each group: the truth wide and gray, the estimate in front, with intervals if it has a covariance."""
     names, places = view.shape.group_names, np.arange(view.shape.n_m)
     figure = Figure(figsize=(float(np.clip(0.42 * len(names) + 1.2, 3.4, 10.0)), 2.6), layout="constrained")
     axis = figure.subplots()

@@ -1,4 +1,4 @@
-"""Residuals of a calibration: what each pose's reading has left over the model."""
+"""Residuals of a calibration: reading minus model at each pose."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ AXES = ("f_x, N", "f_y, N", "f_z, N", "t_x, N m", "t_y, N m", "t_z, N m")
 
 @mpl.rc_context(STYLE)
 def calibration_figure(calibration: Calibration, poses: Sequence[StaticPose]) -> Figure:
-    """Reading less model at each pose with its standard error, an axis of the sensor each."""
+    """Reading minus model at each pose with its standard error, one panel per axis of the sensor."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
-    left, number = residuals(calibration, poses), np.arange(1, len(poses) + 1)
+    residual, number = residuals(calibration, poses), np.arange(1, len(poses) + 1)
     error = np.array([pose.standard_error for pose in poses])
     for place, (axis, name) in enumerate(zip(figure.subplots(2, 3, sharex=True).flat, AXES, strict=True)):
         axis.axhline(0.0, color="black", linewidth=0.8)
         axis.errorbar(
-            number, left[:, place], error[:, place], color=ESTIMATE, marker="o", markersize=3, linestyle="none"
+            number, residual[:, place], error[:, place], color=ESTIMATE, marker="o", markersize=3, linestyle="none"
         )
         axis.set_ylabel(name)
         bare(axis)
         if place >= 3:
             axis.set_xlabel("pose")
-    figure.suptitle(f"reading less model, misfit {calibration.misfit:.2g}", fontsize=9)
+    figure.suptitle(f"reading minus model, misfit {calibration.misfit:.2g}", fontsize=9)
     return figure

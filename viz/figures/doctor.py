@@ -1,4 +1,4 @@
-"""Diagnosis of a setup in one figure: odds of its errors, and misfit of the trials."""
+"""Diagnosis of a setup in one figure: odds of its errors, and misfits of the trials."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from estimators.posterior.diagnosis import DECISIVE, Diagnosis
 from viz.style import ESTIMATE, STYLE, TRUTH, bare
 
 MOST_SHOWN = 10
-"""Causes in the figure."""
+"""Largest number of causes in the figure."""
 
 
 @mpl.rc_context(STYLE)
 def diagnosis_figure(found: Diagnosis, trials: Sequence[str], title: str) -> Figure:
-    """Odds of each error's being larger than stated, likeliest above, beside the misfit of every trial.
+    """Odds that each error is larger than stated, most likely first, and the misfit of every trial.
 
     Args:
         found: diagnosis.
-        trials: name of each trial.
+        trials: names of the trials.
         title: name of the experiment.
     """
     causes = found.causes[:MOST_SHOWN]

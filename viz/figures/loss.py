@@ -16,17 +16,17 @@ from viz.values import EstimateView
 
 @mpl.rc_context(STYLE)
 def loss_figure(traces: Mapping[str, Sequence[np.ndarray]]) -> Figure:
-    """Losses of one method over their first: each optimiser's median, and a band from the 10th to the 90th percentile.
+    """Losses of one method relative to the first: median and 10th to 90th percentile of each optimiser.
 
     Args:
-        traces: losses at each iteration, (I,) an estimate, by optimiser.
+        traces: losses of every estimate by iteration, (I,) each, by optimiser.
     """
     figure, axis = _panel()
     for index, (optimizer, losses) in enumerate(sorted(traces.items())):
         table = normalised(losses)
         if table.size == 0:
             continue
-        at = np.unique(np.geomspace(1, table.shape[1], 90).astype(int)) - 1  # even on a logarithmic axis
+        at = np.unique(np.geomspace(1, table.shape[1], 90).astype(int)) - 1  # evenly spread on a logarithmic axis
         low, middle, high = np.nanquantile(table[:, at], (0.1, 0.5, 0.9), axis=0)
         look = _look(index)
         axis.fill_between(at + 1, low, high, color=look["color"], alpha=0.15, linewidth=0)
@@ -45,7 +45,7 @@ def loss_figure(traces: Mapping[str, Sequence[np.ndarray]]) -> Figure:
 
 @mpl.rc_context(STYLE)
 def estimate_losses(view: EstimateView) -> Figure | None:
-    """Loss of each run of an estimate's optimiser; None without any."""
+    """Loss of each run of an estimate's optimiser; None without losses."""
     traces = [trace for trace in view.traces if len(trace.loss)]
     if not traces:
         return None
@@ -66,10 +66,10 @@ def estimate_losses(view: EstimateView) -> Figure | None:
 
 
 def normalised(losses: Sequence[np.ndarray]) -> np.ndarray:
-    """Losses over the first of each, (N, I): shorter ones end in NaN, and those without a first loss are left out."""
-    good = [loss / loss[0] for loss in losses if len(loss) and np.isfinite(loss[0]) and loss[0] > 0]
-    table = np.full((len(good), max((len(loss) for loss in good), default=0)), np.nan)
-    for row, loss in zip(table, good, strict=True):
+    """Losses relative to the first, (N, I), padded with NaN; without traces whose first loss is not positive."""
+    scaled = [loss / loss[0] for loss in losses if len(loss) and np.isfinite(loss[0]) and loss[0] > 0]
+    table = np.full((len(scaled), max((len(loss) for loss in scaled), default=0)), np.nan)
+    for row, loss in zip(table, scaled, strict=True):
         row[: len(loss)] = np.where(loss > 0, loss, np.nan)
     return table[:, ~np.isnan(table).all(axis=0)]
 

@@ -46,7 +46,7 @@ from viz.values import EstimateView
 PANEL = 2.3
 """Width of an estimate's map [inches]."""
 LETTERS = (4.0, 7.0)
-"""Least and usual size of a number in an estimate's map [points]."""
+"""Least and largest size of a number in an estimate's map [points]."""
 ERROR_WIDTH = 3.4
 """Width of the figure of expected errors [inches]."""
 
@@ -66,11 +66,11 @@ def draw_groups(
     Args:
         axis: matplotlib's axes.
         shape: geometry of the object.
-        values: one per group, (n_m,), hatched where not finite; None where there is no answer.
-        scale: of the colors.
-        digits: of the numbers, after the point.
-        letters: size of the numbers, points; 0 without numbers.
-        place: of the object in axes that others share; without it the axes become the object's own.
+        values: value of each group, (n_m,), hatched where not finite; None without an answer.
+        scale: scale of the colors.
+        digits: decimal places of the numbers.
+        letters: size of the numbers [points]; 0 without numbers.
+        place: transform from the object frame to shared axes; None for axes of the object alone.
     """
     on = axis.transData if place is None else place + axis.transData
     low, high = extent(shape)
@@ -104,7 +104,7 @@ def draw_groups(
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     for side in axis.spines.values():
         side.set_visible(False)
-    for ruler in (axis.xaxis, axis.yaxis):  # to lay out the ticks that are not there takes most of a figure's time
+    for ruler in (axis.xaxis, axis.yaxis):  # the layout of absent ticks takes most of a figure's time
         ruler.set_visible(bool(ruler.get_label_text()))
 
 
@@ -116,34 +116,34 @@ def draw_hinges(axis: Axes, chain: Chain, on: Transform) -> None:
 
 
 def extent(shape: ObjectShape) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Lower left and upper right of an object, a quarter of a cell wider [m]."""
+    """Lower left and upper right corner of an object with a margin of a quarter of a cell [m]."""
     return shape.particles.min(axis=0) - 0.75 * shape.cell, shape.particles.max(axis=0) + 0.75 * shape.cell
 
 
 def add_bar(figure: Figure, axes: Any, scale: Scale, **look: Any) -> None:
-    """Draw the color bar of a scale, below some axes unless `look` says otherwise."""
-    usual = {"orientation": "horizontal", "shrink": 0.85, "pad": 0.04}
+    """Draw the color bar of a scale, below the axes by default; `look` are further options of `colorbar`."""
+    default = {"orientation": "horizontal", "shrink": 0.85, "pad": 0.04}
     size = {"fontsize": look.pop("fontsize")} if "fontsize" in look else {}
     colors = ScalarMappable(Normalize(0.0, scale.top), scale.colors)
-    figure.colorbar(colors, ax=axes, **usual | look).set_label(scale.title, wrap=True, **size)
+    figure.colorbar(colors, ax=axes, **default | look).set_label(scale.title, wrap=True, **size)
 
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PDF and PNG; returns the files, which are `path`, without one of these, with each suffix."""
+    """Write a figure as PDF and PNG; returns their paths: `path` with each suffix in place of its own .pdf or .png."""
     stamps: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
     name = path.stem if path.suffix[1:] in stamps else path.name
     files = {kind: path.with_name(f"{name}.{kind}") for kind in stamps}
     with mpl.rc_context(STYLE):
         lay_out(figure)
-        for kind, stamp in stamps.items():  # the same figure is the same file
-            content = BytesIO()  # a PDF that cannot be written raises what does not say why
+        for kind, stamp in stamps.items():  # without date and version: files are reproducible
+            content = BytesIO()  # matplotlib's error for a PDF that cannot be written gives no reason
             figure.savefig(content, format=kind, dpi=200, metadata=stamp)
             write_whole(files[kind], partial(Path.write_bytes, data=content.getvalue()))
     return list(files.values())
 
 
 def lay_out(figure: Figure) -> None:
-    """Lay a figure out for good: matplotlib else draws it once more for each file."""
+    """Fix the layout of a figure, which matplotlib else computes again for each file."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -151,7 +151,7 @@ def lay_out(figure: Figure) -> None:
 
 
 def as_pixels(figure: Figure) -> Figure:
-    """Draw the many small cells as pixels: a fraction of the size as SVG."""
+    """Rasterize the cells of a figure, which makes its SVG smaller."""
     for axis in figure.axes:
         for patches in axis.collections:
             patches.set_rasterized(patches.get_array() is not None)
@@ -160,7 +160,7 @@ def as_pixels(figure: Figure) -> Figure:
 
 @dataclass(frozen=True, eq=False)
 class MeanAnswer:
-    """Means over a method's estimates of one object, under one support and sensing."""
+    """Mean answer of a method on one object, over its estimates under one support and sensing."""
 
     method: str
     """Name of the method."""
@@ -171,7 +171,7 @@ class MeanAnswer:
 
     @staticmethod
     def of(rows: Sequence[Row], method: str) -> MeanAnswer | None:
-        """Mean over the rows of a method; None without any answer."""
+        """Mean over the rows of a method; None without an answer."""
         found = [row for row in rows if row["method"] == method and row["mass_kg"] is not None]
         if not found:
             return None
@@ -181,12 +181,12 @@ class MeanAnswer:
 
 
 def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], title: str) -> Figure:
-    """Differences of mass [kg per group]: a row per object, a column per method.
+    """Differences of mass [kg per group], means over draws: a row per object, a column per method.
 
     Args:
-        rows: of a scenario run, under one support and sensing; differences are means over the draws.
+        rows: of a scenario run, under one support and sensing.
         shapes: geometry of every object, by name.
-        title: of the figure.
+        title: title of the figure.
     """
     methods = list(dict.fromkeys(row["method"] for row in rows))
     answers = {
@@ -201,7 +201,7 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
     with mpl.rc_context({**STYLE, "font.size": 8.0}):
         heights = [aspect(shape, 0.3, 1.0) for shape in shapes.values()]
         figure = Figure(figsize=(1.35 * len(methods) + 1.6, 1.35 * sum(heights) + 0.9), layout="constrained")
-        axis = figure.subplots()  # one for all: to make and lay out axes takes longer than to draw in them
+        axis = figure.subplots()  # shared by all maps: creation and layout of axes take longer than drawing
         bottom = 0.0
         for (name, shape), height in zip(shapes.items(), heights, strict=True):
             bottom -= height
@@ -226,7 +226,7 @@ def absolute_difference(rows: Sequence[Row], shapes: Mapping[str, ObjectShape], 
 
 
 def compared_methods(rows: Sequence[Row]) -> list[str]:
-    """Methods whose maps stand side by side: hidden states, and the best other one by mean NAD on these rows."""
+    """Methods whose maps are compared: the hidden states, and the other method with the lowest mean NAD."""
     nads: dict[str, list[float]] = {}
     for row in rows:
         if row["nad"] is not None:
@@ -237,16 +237,16 @@ def compared_methods(rows: Sequence[Row]) -> list[str]:
 
 
 def map_scales(truths: Sequence[np.ndarray], answers: Sequence[MeanAnswer]) -> tuple[Scale, Scale]:
-    """Scales of mass and of difference that the maps of several objects share.
+    """Scales of mass and of difference for the maps of several objects.
 
     Args:
-        truths: true masses of each object, kg per group, (n_m,).
-        answers: all answers that are drawn.
+        truths: true masses of each object [kg per group], (n_m,).
+        answers: all drawn answers.
     """
-    top, off = top_of([*truths, *(a.mass for a in answers)]), top_of([a.difference for a in answers])
+    mass, difference = top_of([*truths, *(a.mass for a in answers)]), top_of([a.difference for a in answers])
     return (
-        Scale(max(top, 1e-3), MASS_COLORS, "mass, true and estimated, kg per group"),
-        Scale(max(off, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg per group"),
+        Scale(max(mass, 1e-3), MASS_COLORS, "mass, true and estimated, kg per group"),
+        Scale(max(difference, 1e-3), DIFFERENCE_COLORS, "absolute difference, kg per group"),
     )
 
 
@@ -258,9 +258,9 @@ def mass_maps(
 
     Args:
         shape: geometry of the object.
-        truth: true masses, kg per group, (n_m,).
+        truth: true masses [kg per group], (n_m,).
         groups: answers by the name of support and sensing.
-        scales: of mass and of difference, as `map_scales` makes them.
+        scales: scales of mass and of difference, from `map_scales`.
     """
     most = max((len(found) for found in groups.values()), default=0)
     mass, difference = scales
@@ -290,9 +290,9 @@ def error_figure(model: ObjectModel, standard_error: Float[np.ndarray, "n_m"], t
     """Expected standard error of each group [g]; hatched where infinite.
 
     Args:
-        model: the object.
-        standard_error: of every group, kg; infinite where the trials do not show it.
-        title: which trials, and how they are measured.
+        model: object.
+        standard_error: standard error of every group [kg]; infinite where the trials do not determine its mass.
+        title: description of the trials and their sensing.
     """
     shape, error = model.shape, 1e3 * standard_error
     known = error[np.isfinite(error)]
@@ -311,10 +311,10 @@ def error_figure(model: ObjectModel, standard_error: Float[np.ndarray, "n_m"], t
 @mpl.rc_context(STYLE)
 def estimate_maps(view: EstimateView) -> Figure:
     """True mass, estimated mass and absolute difference, as in the Rerun view; the estimate alone without a truth."""
-    mass, off, shape = mass_scale([view]), difference_scale([view]), view.shape
+    mass, difference, shape = mass_scale([view]), difference_scale([view]), view.shape
     panels: list[tuple[str, np.ndarray | None, Scale]] = [("estimated mass", view.mass, mass)]
     if view.truth is not None:
-        panels = [("true mass", view.true_mass, mass), *panels, ("absolute difference", view.difference, off)]
+        panels = [("true mass", view.true_mass, mass), *panels, ("absolute difference", view.difference, difference)]
     size = (PANEL * len(panels), 2.1 * aspect(shape, 0.2, 1.4) + 1.1)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -329,11 +329,11 @@ def estimate_maps(view: EstimateView) -> Figure:
     masses = [axis for axis, (*_, scale) in zip(axes, panels, strict=True) if scale is mass]
     add_bar(figure, masses, mass, ticks=MaxNLocator(4), aspect=16 * len(masses))
     if view.truth is not None:
-        add_bar(figure, [axes[-1]], off, ticks=MaxNLocator(4), aspect=16)
+        add_bar(figure, [axes[-1]], difference, ticks=MaxNLocator(4), aspect=16)
     figure.suptitle(view.title, fontsize=9)
     return figure
 
 
 def decimals(largest: float) -> int:
-    """Digits after the point for three that count."""
+    """Decimal places that show three significant digits of `largest`, 0 to 3."""
     return int(np.clip(2 - np.floor(np.log10(max(largest, 1e-9))), 0, 3))

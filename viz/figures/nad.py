@@ -1,4 +1,4 @@
-"""Normalized absolute difference (NAD): its distribution by method, and its course over a swept setting."""
+"""Normalized absolute difference (NAD): its distribution by method, and its dependence on a swept setting."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from estimators.evaluation.statistics import AXIS, Row, axis_values, methods_of
 from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
 
 BEYOND = 1.5
-"""End of a logarithmic axis with zeros, over the largest value."""
+"""End of a logarithmic axis with zeros, relative to the largest value."""
 WIDE_RANGE = 20.0
 """Ratio of the largest to the smallest value from which on an axis is logarithmic."""
 FEW = 8
-"""Largest number of values of a swept setting that are all named on its axis."""
+"""Largest number of values of a swept setting with a tick each."""
 UNITS = {"support": "N/m", "duration": "s", "pivot_error": "m"}
-"""Units of settings that do not have it in their name."""
+"""Units of settings whose names do not end with one."""
 SUFFIXES = {"_kg": "kg", "_N": "N", "_m": "m", "_s": "s"}
+"""Units by the suffix of a setting's name."""
 MANY = 400
-"""More points than this are drawn as pixels."""
+"""Largest number of points of a method that are not rasterized."""
 
 
 @mpl.rc_context(STYLE)
 def nad_distribution(rows: Sequence[Row]) -> Figure:
-    """One line per method: a point per estimate, a bar from the lower to the upper quartile, a stroke at the median."""
+    """One row per method: a point per estimate, a bar from the lower to the upper quartile, a stroke at the median."""
     methods = methods_of(rows)
     figure = Figure(figsize=(5.4, 0.36 * len(methods) + 0.8), layout="constrained")
     axis = figure.subplots()
@@ -60,11 +61,11 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
 def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     """NAD against a swept setting: a line per method through the medians, a band from the lower to the upper quartile.
 
-    A setting of many words has a line for each word: a bar of the first method's median, and a point per method.
+    A setting of many words has a row for each word: a bar of the first method's median, and a point per method.
 
     Args:
-        rows: of a scenario run; `kind`, `method`, `nad` and the swept column are read.
-        axis_column: of the swept setting.
+        rows: of a scenario run, with `kind`, `method`, `nad` and the swept column.
+        axis_column: column of the swept setting.
     """
     values = axis_values(rows, axis_column)
     numeric = all(isinstance(value, int | float) for value in values)
@@ -77,15 +78,15 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
     drawn: list[str] = []
     quartiles = []
     for method in methods_of(rows):
-        of = [row for row in rows if row["method"] == method and row["nad"] is not None]
-        if not of:
+        known = [row for row in rows if row["method"] == method and row["nad"] is not None]
+        if not known:
             continue
-        kind = of[0]["kind"]
-        has, (low, middle, high) = _quartiles(of, axis_column, values)
-        which = kinds.index(kind) % len(PALETTE)
-        axis.fill_between(places[has], low, high, color=PALETTE[which], alpha=0.12, linewidth=0)
+        kind = known[0]["kind"]
+        present, (low, middle, high) = _quartiles(known, axis_column, values)
+        look = kinds.index(kind) % len(PALETTE)
+        axis.fill_between(places[present], low, high, color=PALETTE[look], alpha=0.12, linewidth=0)
         axis.plot(
-            places[has], middle, color=PALETTE[which], marker=MARKERS[which], markersize=4, linewidth=1.4,
+            places[present], middle, color=PALETTE[look], marker=MARKERS[look], markersize=4, linewidth=1.4,
             linestyle=DASHES[drawn.count(kind) % len(DASHES)], label=method,
         )  # fmt: skip
         drawn.append(kind)
@@ -104,26 +105,26 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
 
 
 def _quartiles(rows: Sequence[Row], axis_column: str, values: Sequence[object]) -> tuple[np.ndarray, np.ndarray]:
-    """Indices, (K,), of the values of a setting that some rows have, and quartiles of the NAD there, %, (3, K)."""
+    """Indices of the values of a setting with rows, (K,), and quartiles of the NAD at them [%], (3, K)."""
     found = [100 * np.array([row["nad"] for row in rows if row.get(axis_column) == value]) for value in values]
-    has = np.flatnonzero([len(each) > 0 for each in found])
-    return has, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in has], (-1, 3)).T
+    present = np.flatnonzero([len(each) > 0 for each in found])
+    return present, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in present], (-1, 3)).T
 
 
 def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[object]) -> Figure:
-    """Medians and quartiles of every method at each word of a setting, a line each."""
+    """Medians and quartiles of every method, a row for each word of a setting."""
     methods = methods_of(rows)
     figure = Figure(figsize=(6.4, 0.34 * len(values) + 1.2), layout="constrained")
     axis, every = figure.subplots(), []
-    for which, method in enumerate(methods):
-        of = [row for row in rows if row["method"] == method and row["nad"] is not None]
-        has, (low, middle, high) = _quartiles(of, axis_column, values)
-        if len(has) == 0:
+    for index, method in enumerate(methods):
+        known = [row for row in rows if row["method"] == method and row["nad"] is not None]
+        present, (low, middle, high) = _quartiles(known, axis_column, values)
+        if len(present) == 0:
             continue
-        color, marker = PALETTE[which % len(PALETTE)], MARKERS[which % len(MARKERS)]
-        at = has + 0.6 * ((which + 0.5) / len(methods) - 0.5)
-        if which == 0:
-            axis.barh(has, middle, height=0.8, color=color, alpha=0.18, linewidth=0)
+        color, marker = PALETTE[index % len(PALETTE)], MARKERS[index % len(MARKERS)]
+        at = present + 0.6 * ((index + 0.5) / len(methods) - 0.5)
+        if index == 0:
+            axis.barh(present, middle, height=0.8, color=color, alpha=0.18, linewidth=0)
         axis.hlines(at, low, high, color=color, linewidth=1.0, alpha=0.6)
         axis.plot(middle, at, color=color, marker=marker, markersize=4, linestyle="none", label=method)
         every += [low, middle, high]
@@ -139,7 +140,7 @@ def _by_word(rows: Sequence[Row], axis_column: str, values: Sequence[object]) ->
 
 
 def axis_label(axis_column: str) -> str:
-    """Name of a swept setting, with its unit where it has one."""
+    """Name of a swept setting, with its unit if known."""
     name = axis_column.removeprefix(AXIS)
     last = name.rsplit(".", 1)[-1]
     unit = UNITS.get(last) or next((unit for end, unit in SUFFIXES.items() if last.endswith(end)), "")
@@ -147,7 +148,7 @@ def axis_label(axis_column: str) -> str:
 
 
 def _scale(axis: XAxis | YAxis, values: np.ndarray) -> None:
-    """Make an axis logarithmic where values are positive and span much; linear in the first decade with zeros."""
+    """Make an axis logarithmic for values of WIDE_RANGE; with zeros, linear up to the decade of the least value."""
     positive = values[values > 0]
     if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
         return

@@ -1,4 +1,4 @@
-"""Objects from above, as they lie on the table: parts, points of contact, and grasps."""
+"""Objects from above, in their poses on the table: parts, points of contact, and grasps."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from viz.figures.maps import draw_hinges
 from viz.style import BLACK, STYLE, VERMILLION
 
 COLUMNS = 3
-"""Objects side by side."""
+"""Largest number of objects side by side."""
 WIDTH = 3.2
 """Width of an object's picture [inches]."""
 
 
 @mpl.rc_context(STYLE)
 def object_page(models: Sequence[ObjectModel]) -> Figure:
-    """Pictures of objects on one page, each as large as it goes, with a bar of 50 mm.
+    """Objects on one page, each scaled to its panel, with a scale bar of 50 mm.
 
     Args:
-        models: objects, of solids or of cells.
+        models: objects of solids or of cells.
     """
     columns = min(COLUMNS, len(models))
     rows = math.ceil(len(models) / columns)
@@ -41,8 +41,8 @@ def object_page(models: Sequence[ObjectModel]) -> Figure:
     for axis in axes[len(models) :]:
         axis.set_axis_off()
     rings = "; rings: hinges" if any(model.shape.chain is not None for model in models) else ""
-    said = (f"colors: parts; black dots: points of contact{rings}", "cross: center of mass; red: pads")
-    figure.supxlabel(("; " if columns > 1 else "\n").join(said), fontsize=7)
+    legend = (f"colors: parts; black dots: points of contact{rings}", "cross: center of mass; red: pads")
+    figure.supxlabel(("; " if columns > 1 else "\n").join(legend), fontsize=7)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Plan of actions: grasps, pivots and arrows on the object, and the expected errors before and after."""
+"""Plan of actions: grasps, pivots and arrows on the object, and the expected errors before and after the plan."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from viz.style import DIFFERENCE_COLORS, PLAN_ERROR, STYLE, Scale
 from viz.values import PlanView
 
 WIDTH, LONG = 7.0, 4.6
-"""Width of the figure [inches]: of three panels side by side, and of three below each other."""
+"""Width of the figure [inches]: of three panels in a row, and of three in a column."""
 LONG_FROM = 1.8
-"""Width over height from which the panels stand below each other."""
+"""Width over height above which the panels are in a column."""
 HEAD, FOOT = 0.3, 0.95
-"""Room for a panel's title, and for the figure's title with the color bar [inches]."""
+"""Height of a panel's title, and of the figure's title and color bar together [inches]."""
 
 
 @mpl.rc_context(STYLE)
 def plan_figure(plan: PlanView) -> Figure:
-    """Object with grasps, pivots and arrows, and its expected errors before and after.
+    """Object with grasps, pivots and arrows, and its expected errors before and after the plan.
 
-    The object has one size in all panels. The errors have one scale, up to the largest after the plan.
+    All panels have the same scale of length. The errors have one color scale, up to the largest after the plan.
     """
     low, high = plan.bounds
     wide, tall = high - low
-    long, plain = wide > LONG_FROM * tall, float(np.ptp(plan.shape.particles[:, 1])) + 2 * plan.shape.cell
+    long, alone = wide > LONG_FROM * tall, float(np.ptp(plan.shape.particles[:, 1])) + 2 * plan.shape.cell
     if long:
-        inches = LONG / wide * np.array([tall, plain, plain])
+        inches = LONG / wide * np.array([tall, alone, alone])
         figure = Figure(figsize=(LONG, inches.sum() + 3 * HEAD + FOOT), layout="constrained")
         axes = figure.subplots(3, 1, height_ratios=inches)
     else:

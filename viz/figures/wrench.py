@@ -14,26 +14,26 @@ from testbed.errors import InvalidValueError
 from viz.style import AXIS_COLORS, EDGE, STYLE, bare
 from viz.values import WrenchFit, evenly
 
-LABELS = (("force x, N", "off, N"), ("force y, N", "off, N"), ("torque z, N m", "off, N m"))
-"""Labels of each component, and of its difference from the prediction."""
+LABELS = (("force x, N", "residual, N"), ("force y, N", "residual, N"), ("torque z, N m", "residual, N m"))
+"""Labels of each component, and of its residual."""
 MOST_DOTS = 1500
-"""Largest number of samples of a trial that are drawn; of more an even choice."""
+"""Largest number of samples of a trial that are drawn, evenly spread."""
 HEIGHTS = (1.2, 0.65)
-"""Heights [inches] of a component's panel, and of the one below with its difference from the prediction."""
+"""Heights of a component's panel and of the panel of its residual [inches]."""
 BAND: dict[str, Any] = {"color": EDGE, "alpha": 0.25, "linewidth": 0}
 TAIL = 0.002
-"""Share of the samples, at each end, that an axis may leave out: the sensor jumps as the gripper closes."""
+"""Quantile of the samples at each end that an axis may exclude: the reading jumps as the gripper closes."""
 
 
 @mpl.rc_context(STYLE)
 def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
-    """One column per trial; force x, force y and torque z below each other, each on the scale of all trials.
+    """One column per trial; force x, force y and torque z below each other, each on one scale for all trials.
 
     Steady samples are colored, the others gray; the line is the prediction, with its 95 % band. Below each component
-    is the difference measured - predicted.
+    is its residual, measured - predicted.
 
     Raises:
-        InvalidValueError: no trial at all.
+        InvalidValueError: no trials.
     """
     if not fits:
         raise InvalidValueError("fits", "none", "at least one trial")
@@ -43,12 +43,12 @@ def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
     for column, fit in enumerate(fits):
         for row, color in enumerate(AXIS_COLORS):
             _draw(axes[2 * row, column], fit, row, color)
-            _draw_off(axes[2 * row + 1, column], fit, row, color)
+            _draw_residual(axes[2 * row + 1, column], fit, row, color)
         axes[0, column].set_title(fit.label, fontsize=8)
         axes[-1, column].set_xlabel("time, s")
-    for row, (label, off) in enumerate(LABELS):
+    for row, (label, residual) in enumerate(LABELS):
         axes[2 * row, 0].set_ylabel(label)
-        axes[2 * row + 1, 0].set_ylabel(off, fontsize=7)
+        axes[2 * row + 1, 0].set_ylabel(residual, fontsize=7)
         axes[2 * row, 0].set_ylim(*_limits(fits, row))
     figure.align_ylabels(axes[:, 0])
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -59,8 +59,8 @@ def wrench_fit_figure(fits: Sequence[WrenchFit]) -> Figure:
 
 
 def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
-    for which, shade, label in ((~fit.steady, "0.75", "measured"), (fit.steady, color, "measured, steady")):
-        _dots(axis, fit, which, fit.measured[:, row], shade, label)
+    for mask, shade, label in ((~fit.steady, "0.75", "measured"), (fit.steady, color, "measured, steady")):
+        _dots(axis, fit, mask, fit.measured[:, row], shade, label)
     # NaN breaks the line and the band between steady stretches
     middle, half = fit.predicted[:, row], fit.band[:, row]
     axis.fill_between(fit.time_s, middle - half, middle + half, label="95 % band", **BAND)
@@ -68,8 +68,8 @@ def _draw(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
     bare(axis)
 
 
-def _draw_off(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
-    """Draw measured - predicted of the steady samples."""
+def _draw_residual(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
+    """Draw measured - predicted at the steady samples."""
     half = np.where(np.isfinite(fit.predicted[:, row]), fit.band[:, row], np.nan)
     _dots(axis, fit, fit.steady, fit.measured[:, row] - fit.predicted[:, row], color, None)
     axis.fill_between(fit.time_s, -half, half, **BAND)
@@ -77,9 +77,9 @@ def _draw_off(axis: Axes, fit: WrenchFit, row: int, color: str) -> None:
     bare(axis)
 
 
-def _dots(axis: Axes, fit: WrenchFit, which: np.ndarray, values: np.ndarray, color: str, label: str | None) -> None:
+def _dots(axis: Axes, fit: WrenchFit, mask: np.ndarray, values: np.ndarray, color: str, label: str | None) -> None:
     kept = evenly(len(fit.time_s), MOST_DOTS)
-    at = kept[which[kept]]
+    at = kept[mask[kept]]
     look = {"markersize": 1.6, "markeredgewidth": 0, "rasterized": True, "alpha": 0.6}
     axis.plot(fit.time_s[at], values[at], "o", color=color, label=label, **look)
 

@@ -1,7 +1,7 @@
-"""Masses of groups as bars in Rerun: the truth wide and gray, estimates before it, with intervals and a legend.
+"""Masses of groups as bars in Rerun: the truth wide and gray, estimates in front, with intervals and a legend.
 
-The scene's unit is kg, upwards and sideways; the object's groups follow from left to right. Rerun's own bar charts
-have neither names nor intervals, and where bars overlap they add up their colors.
+The scene's unit is kg along both axes; the object's groups follow from left to right. Rerun's own bar charts have
+neither names nor intervals, and blend the colors of overlapping bars.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from viz.recordings.planar import CHARACTER, LINE, MARGIN, Canvas, log_lines, lo
 from viz.style import EDGE, TRUTH, rgb
 
 TRUTH_WIDTH, ALL_WIDTH = 0.86, 0.64
-"""Widths of the gray bar and of all others together, over the room of a group."""
+"""Widths of the gray bar and of all others together, relative to the width of a group."""
 STROKE = 1.5
 """Half the width of the strokes that fill a bar [pixels]: planar boxes are outlines in Rerun."""
 MOST_NAMES = 40
-"""Largest number of names of groups."""
+"""Largest number of group names below the bars."""
 SWATCH = 18.0
 """Width of a color in the legend [pixels]."""
 BESIDE = 62.0
-"""Room for the numbers of the scale [pixels]."""
+"""Width of the numbers of the scale [pixels]."""
 ROW = LINE + MARGIN
 """Height of a row of text [pixels]."""
 
@@ -45,7 +45,7 @@ class BarSeries:
     frames: Frames
     """Moments of the masses."""
     half_width: Float[np.ndarray, "n_m"] | None = None
-    """Half of the interval about the last frame [kg]; NaN where it is not known."""
+    """Half width of the interval around the last frame [kg]; NaN where it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class BarScene:
 
     @property
     def top(self) -> float:
-        """End of the scale [kg]: above truth and estimates, and above intervals that are not much longer."""
+        """End of the scale [kg]: above truth and estimates, and above intervals up to 1.8 times as high."""
         known = [each.mass[-1] for each in self.series] + ([] if self.truth is None else [self.truth])
         highest = max((float(values.max()) for values in known), default=1.0)
         upper = [s.mass[-1] + s.half_width for s in self.series if s.half_width is not None]
@@ -80,7 +80,7 @@ class BarScene:
         )
 
     def log(self, node: Node) -> None:
-        """Log it below `node`."""
+        """Log the scene below `node`."""
         log_upright(node)
         self._log_scale(node)
         self._log_names(node)
@@ -99,13 +99,13 @@ class BarScene:
     def _rows(self) -> list[list[tuple[str, str]]]:
         """Labels and colors in the rows of the legend."""
         rows: list[list[tuple[str, str]]] = [[]]
-        left = room = self.canvas.width - BESIDE
+        left = row_width = self.canvas.width - BESIDE
         truth = [] if self.truth is None else [("truth", TRUTH)]
         for label, color in truth + [(each.label, each.color) for each in self.series]:
             width = _entry_width(label)
             if rows[-1] and width > left:
                 rows.append([])
-                left = room
+                left = row_width
             rows[-1].append((label, color))
             left -= width
         return rows
@@ -116,20 +116,20 @@ class BarScene:
         return self.top / (self.canvas.height - ROW * (len(self._rows) + 1) - 2 * MARGIN)
 
     @property
-    def _room(self) -> float:
+    def _group_width(self) -> float:
         """Width of a group [kg]."""
         return self._pixel * (self.canvas.width - BESIDE - 3 * MARGIN) / len(self.names)
 
     def _places(self, index: int | None) -> Float[np.ndarray, "n_m 2"]:
-        """Left and right of the bars of a series; None for the truth."""
-        middles = (np.arange(len(self.names))[:, None] + 0.5) * self._room
+        """Left and right edges of the bars of a series [kg]; of the truth for None."""
+        middles = (np.arange(len(self.names))[:, None] + 0.5) * self._group_width
         if index is None:
-            return middles + self._room * TRUTH_WIDTH * np.array([-0.5, 0.5])
+            return middles + self._group_width * TRUTH_WIDTH * np.array([-0.5, 0.5])
         share = ALL_WIDTH / len(self.series)
-        return middles + self._room * (-ALL_WIDTH / 2 + share * (index + np.array([0.04, 0.96])))
+        return middles + self._group_width * (-ALL_WIDTH / 2 + share * (index + np.array([0.04, 0.96])))
 
     def _log_bars(self, node: Node, series: BarSeries, places: Float[np.ndarray, "n 2"], order: float) -> None:
-        """Log bars from 0 to the masses, filled by strokes; those above the scale end there."""
+        """Log bars from 0 to the masses, filled by strokes and clipped at the end of the scale."""
         node.log(rr.LineStrips2D.from_fields(colors=rgb(series.color), draw_order=order))
         left, right = places.T
         strips, radii = filled(left, right, np.clip(series.mass, 0.0, self.top), STROKE * self._pixel)
@@ -142,7 +142,7 @@ class BarScene:
 
     def _log_scale(self, node: Node) -> None:
         values, texts = ticks(self.top, 6)
-        right, pixel = self._room * len(self.names), self._pixel
+        right, pixel = self._group_width * len(self.names), self._pixel
         log_lines(node / "grid", [np.array([[0, v], [right, v]]) for v in values], "#DADAD8", order=1.0)
         log_lines(node / "axes", [np.array([[0, self.top], [0, 0], [right, 0]])], order=23.0)
         beside = np.column_stack([np.full(len(values), -0.5 * BESIDE * pixel), values])
@@ -150,9 +150,9 @@ class BarScene:
 
     def _log_names(self, node: Node) -> None:
         widest = CHARACTER * max(map(len, self.names)) + 2 * MARGIN
-        every = max(int(np.ceil(widest * self._pixel / self._room)), int(np.ceil(len(self.names) / MOST_NAMES)))
+        every = max(int(np.ceil(widest * self._pixel / self._group_width)), int(np.ceil(len(self.names) / MOST_NAMES)))
         which = np.arange(0, len(self.names), every)
-        below = np.column_stack([(which + 0.5) * self._room, np.full(len(which), -0.5 * ROW * self._pixel)])
+        below = np.column_stack([(which + 0.5) * self._group_width, np.full(len(which), -0.5 * ROW * self._pixel)])
         log_texts(node / "names", below, [self.names[i] for i in which], self._pixel)
 
     def _log_legend(self, node: Node) -> None:
@@ -175,9 +175,16 @@ def _entry_width(label: str) -> float:
 def filled(
     left: Float[np.ndarray, "n"], right: Float[np.ndarray, "n"], height: Float[np.ndarray, "F n"], stroke: float
 ) -> tuple[Float[np.ndarray, "F n N 2"], Float[np.ndarray, "F n"]]:
-    """Lines and half their widths that cover bars of one width from 0 to `height` and no more."""
+    """Polylines and their radii that fill bars of equal width exactly from 0 to `height`.
+
+    Args:
+        left: left edges.
+        right: right edges.
+        height: heights of the n bars in F frames.
+        stroke: largest radius of a line.
+    """
     radius = np.minimum(np.minimum(height, right - left) / 2, stroke)
-    # each stroke covers half of the one before, or seams would show
+    # each stroke overlaps half of the previous one, so that no seam is visible
     count = max(int(np.ceil(np.max(right - left) / stroke)), 2)
     x = np.linspace(left + radius, right - radius, count, axis=-1)
     low, high = radius, height - radius
@@ -189,7 +196,7 @@ def filled(
 def _whiskers(
     places: Float[np.ndarray, "n 2"], middle: np.ndarray, half: np.ndarray, top: float
 ) -> Sequence[Float[np.ndarray, "N 2"]]:
-    """An upright line a bar with a cap at each end below `top`; none where the interval is not known."""
+    """Vertical line of each interval, clipped to 0 and `top`, with caps at unclipped ends; none where it is NaN."""
     lines = []
     for (left, right), value, each in zip(places, middle, half, strict=True):
         if np.isnan(each):

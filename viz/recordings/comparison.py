@@ -1,4 +1,4 @@
-"""One object under every method side by side in Rerun: maps, differences and bars, in step over the iterations."""
+"""One object under every method side by side in Rerun: maps, differences and bars, synchronized by iteration."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def log_comparison(stream: rr.RecordingStream, root: str, views: Sequence[Estima
     if first.true_mass is not None:
         log_map(node / "truth/mass", first.true_mass[None], mass, Frames.still(), (0.0, 0.0))
     for index, view in enumerate(views):
-        frames, way = frames_of(view)
+        frames, iterates = frames_of(view)
         place, truth = node / f"methods/{index}", view.true_mass
-        log_map(place / "mass", way, mass, frames, (0.0, 0.0))
+        log_map(place / "mass", iterates, mass, frames, (0.0, 0.0))
         if truth is not None and difference is not None:
-            off = None if way is None else np.abs(way - truth)
-            log_map(place / "difference", off, difference, frames, layout.beside)
+            differences = None if iterates is None else np.abs(iterates - truth)
+            log_map(place / "difference", differences, difference, frames, layout.beside)
     log_upright(node / "scales/bars")
     for index, (scale, box) in enumerate(zip(layout.scales, _bar_boxes(layout.cell), strict=True)):
         if scale is not None:
@@ -86,38 +86,42 @@ class _Layout:
     box: Bbox
     """Bounds around the scene of a method."""
     scales: tuple[Scale, Scale | None]
-    """Scales of mass and difference; the second is None where the truth is not known."""
+    """Scales of mass and difference; the second is None where the truth is unknown."""
 
     @staticmethod
     def of(views: Sequence[EstimateView]) -> _Layout:
-        """Raises InvalidValueError where there is nothing to compare, or shapes differ."""
+        """Layout with the largest maps.
+
+        Raises:
+            InvalidValueError: no views, or views of different shapes.
+        """
         if not views:
             raise InvalidValueError("views", "none", "at least one estimate")
         first = views[0].shape
         for view in views[1:]:
             if view.shape.n_m != first.n_m or not np.array_equal(view.shape.particles, first.particles):
                 raise InvalidValueError("views", f"{view.title}, of another shape", f"the shape of {views[0].title}")
-        plain, known = Raster.of(first).box, views[0].truth is not None
+        outline, known = Raster.of(first).box, views[0].truth is not None
         count = len(views) + 1 + known
-        gap = 0.06 * (plain.width + plain.height)
-        places = ((plain.width + gap, 0.0), (0.0, -plain.height - gap))
+        gap = 0.06 * (outline.width + outline.height)
+        places = ((outline.width + gap, 0.0), (0.0, -outline.height - gap))
         found: list[tuple[int, Canvas, tuple[float, float], Bbox]] = []
         for columns in range(1, min(count, MOST_COLUMNS) + 1):
             rows = int(np.ceil(count / columns))
             cell = Canvas(WINDOW.width / columns, (WINDOW.height - BARS) / rows - TITLE)
             for beside in places:
-                box = cell.framed(Bbox.union([plain, plain.translated(*beside)]) if known else plain, 8, 8, 8)
+                box = cell.framed(Bbox.union([outline, outline.translated(*beside)]) if known else outline, 8, 8, 8)
                 found.append((columns, cell, beside, box))
         best = min(found, key=lambda each: each[1].pixel(each[3]))
         return _Layout(*best, scales=_scales(views))
 
 
 def _scales(views: Sequence[EstimateView]) -> tuple[Scale, Scale | None]:
-    """Scales of mass and difference: up to most of the values, and to the truth in any case."""
+    """Scales of mass and difference up to a high percentile; that of mass holds the whole truth."""
     truths = [float(view.true_mass.max()) for view in views if view.true_mass is not None]
     mass = mass_scale(views, max([top_of([view.mass for view in views if view.mass is not None]), *truths]))
-    off = top_of([view.difference for view in views if view.difference is not None])
-    return mass, difference_scale(views, off) if truths else None
+    top = top_of([view.difference for view in views if view.difference is not None])
+    return mass, difference_scale(views, top) if truths else None
 
 
 def _bar_boxes(cell: Canvas) -> list[Bbox]:
@@ -132,8 +136,8 @@ def _bar_boxes(cell: Canvas) -> list[Bbox]:
 def _bars(views: Sequence[EstimateView]) -> BarScene:
     series = []
     for index, view in enumerate(views):
-        frames, way = frames_of(view)
-        if way is not None:
-            series.append(BarSeries(view.method, series_color(index), way, frames, view.half_width))
+        frames, iterates = frames_of(view)
+        if iterates is not None:
+            series.append(BarSeries(view.method, series_color(index), iterates, frames, view.half_width))
     canvas = Canvas(WINDOW.width, BARS - TITLE)
     return BarScene(views[0].shape.group_names, views[0].true_mass, tuple(series), canvas)

@@ -1,4 +1,4 @@
-"""One estimate in Rerun: mass maps, bars, losses, friction loads, and the velocities in one of its trials."""
+"""One estimate in Rerun: mass maps, bars, losses, friction loads, and velocities in one of its trials."""
 
 from __future__ import annotations
 
@@ -37,29 +37,29 @@ from viz.values import LEVEL, EstimateView, evenly
 MAIN, SIDE = Canvas(1260, 910), Canvas(325, 0.45 * 910)
 """Sizes of the main column, and of the friction loads beside it, in a window of 1600 by 1000 pixels."""
 FULL_CELL = 0.46
-"""Radius of the particle with the largest load, over its cell's side."""
+"""Radius of the particle with the largest load, relative to the side of a cell."""
 MOST_ARROWS = 150
 """Largest number of particles with an arrow."""
 PAD = 0.006
 """Thickness of a drawn pad [m]."""
 LONGEST = 0.35
-"""Largest arrow over the object's size."""
+"""Length of the longest arrow, relative to the object's size."""
 HORIZONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-"""Times [s] of which an arrow may show the way."""
+"""Candidate horizons [s]: an arrow is a velocity times the horizon."""
 
 
 def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> None:
-    """Log an estimate below `root`: static, on `iteration`, and its trial on `sim_time`."""
+    """Log an estimate below `root`: static values, iterates on `iteration`, and its trial on `sim_time`."""
     node, parts = Node(stream, root), _Parts.of(view)
-    frames, way = frames_of(view)
-    for name, (_, drawn) in parts.maps.items():
-        drawn.log_with_bar(node / f"{name}/object", Frames.still() if name == "true_mass" else frames)
+    frames, iterates = frames_of(view)
+    for name, (_, mass_map) in parts.maps.items():
+        mass_map.log_with_bar(node / f"{name}/object", Frames.still() if name == "true_mass" else frames)
     if parts.bars is not None:
         parts.bars.log(node / "bars/scene")
     if parts.loads is not None:
         parts.loads.log(node / "loads/scene", frames)
-    if way is not None:
-        _log_masses(node / "mass_by_iteration", view.shape, frames, way)
+    if iterates is not None:
+        _log_masses(node / "mass_by_iteration", view.shape, frames, iterates)
     for index, trace in enumerate(view.traces):
         _log_loss(node / f"loss/{index}", trace, style.series_color(index))
     if parts.turn is not None:
@@ -71,7 +71,7 @@ def log_estimate(stream: rr.RecordingStream, root: str, view: EstimateView) -> N
 def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
     """Views of the entities that `log_estimate` logs below `root`."""
     parts = _Parts.of(view)
-    maps = [planar_view(f"{root}/{name}", drawn.box, title) for name, (title, drawn) in parts.maps.items()]
+    maps = [planar_view(f"{root}/{name}", mass_map.box, title) for name, (title, mass_map) in parts.maps.items()]
     lower: list[rrb.View | rrb.Container] = []
     if parts.bars is not None:
         lower.append(planar_view(f"{root}/bars", parts.bars.box, "mass of each group"))
@@ -97,7 +97,7 @@ def estimate_blueprint(root: str, view: EstimateView) -> rrb.Container:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Planar parts of an estimate; None where they are not known."""
+    """Planar parts of an estimate; None where their values are unknown."""
 
     maps: dict[str, tuple[str, MassMap]]
     """Titles and maps by entity."""
@@ -105,13 +105,13 @@ class _Parts:
     turn: _TurnScene | None
     loads: _LoadScene | None
     heights: tuple[float, float]
-    """Heights of the row of maps and of the row below [pixels]; long objects leave more room below."""
+    """Heights of the row of maps and of the row below [pixels]; a long object has lower maps."""
 
     @staticmethod
     def of(view: EstimateView) -> _Parts:
         shape, truth, mass = view.shape, view.true_mass, style.mass_scale([view])
-        frames, way = frames_of(view)
-        record, bars = view.trajectory, way is not None or truth is not None
+        frames, iterates = frames_of(view)
+        record, bars = view.trajectory, iterates is not None or truth is not None
         moves = record is not None and record.action.moves and record.time_s.size > 1
         width, least, most = MAIN.width / (1 if truth is None else 3), 0.28 * MAIN.height, 0.56 * MAIN.height
         needed = MassMap(shape, None, mass, Canvas(width, most)).box
@@ -119,16 +119,17 @@ class _Parts:
         place = Canvas(width, upper)
         lower = Canvas(MAIN.width / max(bars + bool(view.traces) + moves, 1), MAIN.height - upper - 2 * TITLE)
         when = "" if frames.timeline is None else ", by iteration"
-        maps = {"estimated_mass": (f"estimated mass{when}", MassMap(shape, way, mass, place))}
+        maps = {"estimated_mass": (f"estimated mass{when}", MassMap(shape, iterates, mass, place))}
         if truth is not None:
-            off = MassMap(shape, None if way is None else np.abs(way - truth), style.difference_scale([view]), place)
+            differences = None if iterates is None else np.abs(iterates - truth)
+            difference = MassMap(shape, differences, style.difference_scale([view]), place)
             known = {"true_mass": ("true mass", MassMap(shape, truth[None], mass, place))}
-            maps = known | maps | {"difference": (f"absolute difference{when}", off)}
+            maps = known | maps | {"difference": (f"absolute difference{when}", difference)}
         label = "estimate" if view.covariance is None else f"estimate, {LEVEL} interval"
-        series = () if way is None else (BarSeries(label, style.ESTIMATE, way, frames, view.half_width),)
+        series = () if iterates is None else (BarSeries(label, style.ESTIMATE, iterates, frames, view.half_width),)
         loads = None
-        if way is not None and view.answer is not None:
-            loads = _LoadScene(view, way / shape.particles_per_group, view.answer)
+        if iterates is not None and view.answer is not None:
+            loads = _LoadScene(view, iterates / shape.particles_per_group, view.answer)
         return _Parts(
             maps,
             BarScene(shape.group_names, truth, series, lower) if bars else None,
@@ -139,7 +140,7 @@ class _Parts:
 
 
 def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | None]:
-    """Frames of an estimate's iterates, and the mass of each group [kg] at them; None without an answer."""
+    """Frames of an estimate's iterates, and the mass of each group in them [kg], (F, n_m) or None without an answer."""
     if view.iterates is None:
         return Frames.still(), None
     iterations, masses = view.iterates
@@ -147,27 +148,27 @@ def frames_of(view: EstimateView) -> tuple[Frames, Float[np.ndarray, "F n_m"] | 
 
 
 def _log_loss(node: Node, trace: Trace, color: str) -> None:
-    """Log the decadic logarithm of a trace's loss; losses of 0 or less leave a gap."""
+    """Log the decimal logarithm of a trace's loss; losses of 0 or less leave a gap."""
     loss = np.array(trace.loss, dtype=float)
     node.log(rr.SeriesLines(colors=style.rgb(color), names=trace.method, widths=2.0))
     logarithm = np.log10(np.where(loss > 0, loss, np.nan))
     node.send([rr.TimeColumn(ITERATION, sequence=np.arange(len(loss)))], rr.Scalars.columns(scalars=logarithm))
 
 
-def _log_masses(node: Node, shape: ObjectShape, frames: Frames, way: Float[np.ndarray, "F n_m"]) -> None:
-    """Log the mass of each group [kg] as lines."""
+def _log_masses(node: Node, shape: ObjectShape, frames: Frames, masses: Float[np.ndarray, "F n_m"]) -> None:
+    """Log a line per group: its mass [kg]."""
     names, count = list(shape.group_names), shape.n_m
     colors = [style.rgb(group_color(i)) for i in range(count)]
     node.log(rr.SeriesLines(colors=colors, names=names, widths=[1.5] * count))
-    frames.send(node, lambda k: rr.Scalars.columns(scalars=way[k].ravel()).partition([count] * len(k)))
+    frames.send(node, lambda k: rr.Scalars.columns(scalars=masses[k].ravel()).partition([count] * len(k)))
 
 
 def friction_load(
     shape: ObjectShape, mass: Float[np.ndarray, "... n_m"], friction: Float[np.ndarray, "n_mu"]
 ) -> Float[np.ndarray, "... P"]:
-    """Friction load mu m g of every particle [N]; 0 where it does not touch the table."""
-    pressed = np.where(shape.friction_group < 0, 0.0, np.append(friction, 0.0)[shape.friction_group])
-    return pressed * np.asarray(mass)[..., shape.mass_group] * GRAVITY
+    """Friction load mu m g of every particle [N]; 0 for particles that do not touch the table."""
+    coefficient = np.where(shape.friction_group < 0, 0.0, np.append(friction, 0.0)[shape.friction_group])
+    return coefficient * np.asarray(mass)[..., shape.mass_group] * GRAVITY
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,7 @@ class _LoadScene:
         return SIDE.framed(Bbox.union([box, bar_box(box)]), 24, LINE + 3 * MARGIN, BELOW)
 
     def log(self, node: Node, frames: Frames) -> None:
-        """Log it below `node`."""
+        """Log the scene below `node`."""
         shape, truth, answer = self.view.shape, self.view.truth, self.answer
         raster, pixel, count = Raster.of(shape), SIDE.pixel(self.box), len(shape.particles)
         log_upright(node)
@@ -196,13 +197,13 @@ class _LoadScene:
         largest = max(float(load[-1].max()), float(true_load.max()), 1e-12)
 
         def radius(load: np.ndarray) -> np.ndarray:
-            """Radius [m] of a disc whose area is as its load; a load above the largest fills its cell and no more."""
+            """Radius of a disc with an area proportional to its load, clipped at the largest load [m]."""
             return FULL_CELL * shape.cell * np.sqrt(np.clip(load / largest, 0.0, 1.0))
 
         tops = [float(each.mass.max()) for each in (answer, truth) if each is not None]
         scale = style.Scale(max(*tops, 1e-9), style.MASS_COLORS, "mass, kg per particle")
         colors = packed(scale.color(self.mass[:, shape.mass_group]))
-        # the smallest disc still shows the color of a particle that carries no load
+        # a least radius, so that the color of particles without load is visible
         radii = np.maximum(radius(load), 0.1 * shape.cell)
         (node / "particles").log(rr.Points2D(shape.particles))
         frames.send(
@@ -233,7 +234,7 @@ class _TurnScene:
 
     @property
     def horizon(self) -> float:
-        """Time [s] of which an arrow shows the way: the longest round one with which no arrow is too long."""
+        """Horizon of the arrows [s]: the longest of HORIZONS with every arrow up to LONGEST, else the shortest."""
         speeds = np.linalg.norm(self._velocity(self.shape.particles), axis=-1)
         size = float(np.linalg.norm(np.ptp(self.shape.particles, axis=0) + self.shape.cell))
         fitting = [h for h in HORIZONS if h * float(speeds.max()) <= LONGEST * size]
@@ -241,7 +242,7 @@ class _TurnScene:
 
     @property
     def box(self) -> Bbox:
-        """Bounds around all places of the object."""
+        """Bounds around the object in all its poses."""
         outline = np.concatenate(Raster.of(self.shape).outlines())
         reach = 0.5 * LONGEST * float(np.linalg.norm(np.ptp(outline, axis=0)))
         places = transform_point(self._pose[:, None], outline[None]).reshape(-1, 2)
@@ -249,7 +250,7 @@ class _TurnScene:
         return self.canvas.framed(box, 0, LINE + 2 * MARGIN, 0)
 
     def log(self, node: Node) -> None:
-        """Log it below `node`, in the world's axes."""
+        """Log the scene below `node`, world axes."""
         log_upright(node)
         frames, body = self._frames, node / "object"
         _log_poses(body, frames, self._pose)
@@ -269,11 +270,11 @@ class _TurnScene:
         box = self.box
         pixel = self.canvas.pixel(box)
         at = np.array([[(box.x0 + box.x1) / 2, box.y1 - (LINE / 2 + MARGIN) * pixel]])
-        key = f"arrows: the way of {self.horizon:g} s; blue particles, black object, pink pads"
+        key = f"arrows: motion in {self.horizon:g} s; blue particles, black object, pink pads"
         log_texts(node / "key", at, [key], pixel)
 
     def _log_links(self, node: Node, chain: Chain) -> None:
-        """Log the particles of every link where the camera saw it."""
+        """Log the particles of every link in the poses that the camera measured."""
         frames, camera = self._frames, self.trajectory.camera
         poses = np.zeros((0, 0, 3)) if camera is None else camera.at(self.trajectory.time_s[self._kept])
         for link, pose in enumerate(poses.transpose(1, 0, 2)):
@@ -285,9 +286,9 @@ class _TurnScene:
     def _log_arrows(self, node: Node, frames: Frames, origins: Float[np.ndarray, "N 2"], color: str) -> None:
         look = rr.Arrows2D.from_fields(origins=origins, colors=style.rgb(color), radii=rr.Radius.ui_points(1.0))
         node.log(look)
-        ways = self.horizon * self._velocity(origins)
+        vectors = self.horizon * self._velocity(origins)
         frames.send(
-            node, lambda k: rr.Arrows2D.columns(vectors=ways[k].reshape(-1, 2)).partition([len(origins)] * len(k))
+            node, lambda k: rr.Arrows2D.columns(vectors=vectors[k].reshape(-1, 2)).partition([len(origins)] * len(k))
         )
 
     @property
@@ -296,7 +297,7 @@ class _TurnScene:
 
     @property
     def _frames(self) -> Frames:
-        """Evenly spread samples; at rest, the middle of the steady ones."""
+        """Evenly spread samples; the middle steady one is at rest."""
         kept = self._kept
         steady = np.flatnonzero(self.trajectory.mask(Phase.STEADY)[kept])
         rest = steady[len(steady) // 2] if len(steady) else len(kept) // 2
@@ -322,7 +323,7 @@ def _log_poses(node: Node, frames: Frames, pose: Float[np.ndarray, "F 3"]) -> No
 
 
 def pad_lines(grasp: Grasp) -> Float[np.ndarray, "2 2 2"]:
-    """The gripper's two pads as lines as long as the faces that they hold [m], object frame."""
+    """Lines of the gripper's two pads, as long as the faces that they hold [m], object frame."""
     close = np.array([np.cos(grasp.angle), np.sin(grasp.angle)])
     along = min(grasp.length, grasp.width) / 2 * perpendicular(close)
     middles = grasp.position + np.outer([-1.0, 1.0], (grasp.width + PAD) / 2 * close)

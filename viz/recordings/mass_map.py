@@ -17,7 +17,7 @@ from viz.recordings.planar import (
     MARGIN,
     Canvas,
     have_room,
-    hung,
+    label_anchors,
     log_lines,
     log_texts,
     log_upright,
@@ -30,13 +30,13 @@ from viz.style import BACKGROUND, BLACK, MOST_NAMED, Scale, group_middles, mappe
 FINE = 4
 """Pixels along a cell's side where cells do not lie on one lattice."""
 FITTING = 0.75
-"""Least width of a group over that of its number: a number may stick out a little."""
+"""Least ratio of a group's width to that of its number: the number may overlap its edges slightly."""
 SHADES = 64
 """Number of colors of a color bar."""
 BELOW = 2 * LINE + 6 * MARGIN
-"""Room for the texts below a color bar [pixels]."""
+"""Height of the texts below a color bar [pixels]."""
 GAP = 0.05
-"""Distance between a map and its color bar, over the map's size."""
+"""Distance between a map and its color bar, relative to the map's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Raster:
 
     @staticmethod
     def of(shape: ObjectShape) -> Raster:
-        """One pixel a cell where the cells lie on one lattice, else FINE."""
+        """Raster of a shape: one pixel per side of a cell where all cells lie on one lattice, else FINE."""
         cells = shape.particles[shape.cells]
         low = cells.min(axis=0)
         at = (cells - low) / shape.cell
@@ -61,8 +61,8 @@ class Raster:
         at = (fine * at).round().astype(int)
         width, height = at.max(axis=0) + fine
         group = np.full((height, width), -1)
-        for (x, y), which in zip(at, shape.mass_group[shape.cells], strict=True):
-            group[y : y + fine, x : x + fine] = which
+        for (x, y), number in zip(at, shape.mass_group[shape.cells], strict=True):
+            group[y : y + fine, x : x + fine] = number
         left, bottom = low - shape.cell / 2
         return Raster(group, float(left), float(bottom), shape.cell / fine)
 
@@ -73,7 +73,7 @@ class Raster:
         return Bbox.from_bounds(self.left, self.bottom, width * self.pixel, height * self.pixel)
 
     def link(self, chain: Chain, link: int) -> Raster:
-        """One link of an object, as one group."""
+        """Raster of one link of an object, as one group."""
         return replace(self, group=np.where((self.group >= 0) & (chain.link[self.group] == link), 0, -1))
 
     def outlines(self) -> list[Float[np.ndarray, "2 2"]]:
@@ -89,9 +89,9 @@ class Raster:
         return found
 
     def image(self, colors: np.ndarray) -> np.ndarray:
-        """Pixels, (..., H, W, 3), of a color a group, (..., n_m, 3); the background beside the object."""
-        beside = np.broadcast_to(np.array(rgb(BACKGROUND), dtype=np.uint8), (*colors.shape[:-2], 1, 3))
-        return np.concatenate([colors, beside], axis=-2)[..., self.group, :]  # -1 is the last
+        """Pixels, (..., H, W, 3), from the groups' colors, (..., n_m, 3); the background beside the object."""
+        background = np.broadcast_to(np.array(rgb(BACKGROUND), dtype=np.uint8), (*colors.shape[:-2], 1, 3))
+        return np.concatenate([colors, background], axis=-2)[..., self.group, :]  # -1 is the last
 
     def log(self, node: Node, colors: np.ndarray, frames: Frames) -> None:
         """Log the pixels in the object frame; colors (F, n_m, 3)."""
@@ -127,7 +127,7 @@ class MassMap:
         return self.canvas.framed(Bbox.union([box, bar_box(box)]), 26, 10, BELOW)
 
     def log(self, node: Node, frames: Frames, box: Bbox, at: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Log it below `node`, its object frame at `at` of a scene of which the view shows `box`."""
+        """Log the map below `node`, with the origin of the object frame at `at`, for a view that shows `box`."""
         log_upright(node, at)
         raster, pixel = Raster.of(self.shape), self.canvas.pixel(box)
         values = np.full((1, self.shape.n_m), np.nan) if self.values is None else self.values
@@ -140,13 +140,13 @@ class MassMap:
             self._log_texts(node / "groups", frames, self.values, pixel)
 
     def log_with_bar(self, node: Node, frames: Frames) -> None:
-        """Log it with its color bar, as alone in its view."""
+        """Log the map and its color bar below `node`, for a view of its own."""
         self.log(node, frames, self.box)
         place = bar_box(Raster.of(self.shape).box)
         log_bar(node / "bar", self.scale, place, self.canvas.pixel(self.box))
 
     def _log_texts(self, node: Node, frames: Frames, values: Float[np.ndarray, "F n_m"], pixel: float) -> None:
-        """Log a number per group and its name above, where there is room."""
+        """Log the number of each group, below its name, where there is room."""
         count, middles, digits = self.shape.n_m, group_middles(self.shape), self.scale.digits
         texts = [[f"{value:.{digits}f}" for value in row] for row in values]
         apart = np.array([0.0, LINE * pixel / 2])
@@ -158,7 +158,7 @@ class MassMap:
             middles = middles - apart
         elif narrow or not have_room(middles, texts[-1], pixel):
             return
-        (node / "masses").log(rr.Points2D(hung(middles, pixel), radii=1e-6, show_labels=True))
+        (node / "masses").log(rr.Points2D(label_anchors(middles, pixel), radii=1e-6, show_labels=True))
         frames.send(
             node / "masses",
             lambda k: rr.Points2D.columns(
@@ -176,7 +176,7 @@ def log_hinges(node: Node, shape: ObjectShape) -> None:
 
 
 def bar_box(box: Bbox) -> Bbox:
-    """Place of the color bar below a map at `box`: as wide as the map, wider under a tall one."""
+    """Bounds of the color bar below a map with the bounds `box`: as wide as the map, wider below a tall one."""
     width = max(box.width, 0.85 * box.height)
     middle, top = (box.x0 + box.x1) / 2, box.y0 - GAP * max(width, box.height)
     return Bbox.from_extents(middle - width / 2, top - 0.05 * width, middle + width / 2, top)

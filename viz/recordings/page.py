@@ -22,9 +22,9 @@ ITERATION = "iteration"
 SIM_TIME = "sim_time"
 """Timeline of a trial: time [s] from the start of the tare."""
 LONG = 45
-"""Number of letters from which on a fact is a paragraph of its own."""
+"""Number of characters from which a fact is a paragraph below the table."""
 Columns = Callable[[Int[np.ndarray, "K"]], Iterable[ComponentColumn]]
-"""Component columns of some frames, given by their index."""
+"""Function of the indices of K frames that returns their component columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +38,11 @@ class Node:
         return Node(self.stream, f"{self.path}/{name}")
 
     def log(self, *parts: rr.AsComponents) -> None:
-        """Log values that always hold."""
+        """Log static values."""
         self.stream.log(self.path, *parts, static=True, strict=True)
 
     def send(self, times: Sequence[TimeColumn], columns: Iterable[ComponentColumn]) -> None:
-        """Log values at times of a timeline; without times they always hold."""
+        """Log values at times of a timeline, or static values where `times` is empty."""
         self.stream.send_columns(self.path, times, columns, strict=True)
 
     def send_timed(self, time_s: Float[np.ndarray, "T"], columns: Iterable[ComponentColumn]) -> None:
@@ -52,23 +52,23 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """F moments of one timeline; on the other timeline the one at `rest` always holds."""
+    """F frames on one timeline; the other timeline shows frame `rest` throughout."""
 
     timeline: str | None
-    """ITERATION or SIM_TIME; None for one frame that always holds."""
+    """ITERATION or SIM_TIME; None for a single static frame."""
     times: Float[np.ndarray, "F"]
     """Iterations, or time [s]."""
     rest: int
-    """Index of the frame that holds on the other timeline."""
+    """Index of the frame on the other timeline."""
 
     @staticmethod
     def still() -> Frames:
-        """A single frame, which always holds."""
+        """A single static frame."""
         return Frames(None, np.zeros(1), 0)
 
     @staticmethod
     def of(iterations: Int[np.ndarray, "F"]) -> Frames:
-        """Frames of an estimate, of which the last is the answer."""
+        """Frames of an estimate's iterations; the last one is the answer."""
         last = len(iterations) - 1
         return Frames(ITERATION, iterations.astype(float), last) if last else Frames.still()
 
@@ -90,20 +90,20 @@ def _index(timeline: str, times: np.ndarray) -> TimeColumn:
 
 
 def log_facts(node: Node, title: str, kind: str, facts: Mapping[str, str]) -> None:
-    """Log short facts in a table headed by `kind`, and long ones below it; those without a value are left out."""
+    """Log short facts in a table with the head `kind`, and long ones below it; empty facts are left out."""
     texts = {_plain(name): _plain(value) for name, value in facts.items() if value}
     rows = [f"| {name} | {value} |" for name, value in texts.items() if len(value) < LONG]
-    rest = [f"**{name}**: {value}\n" for name, value in texts.items() if len(value) >= LONG]
-    log_markdown(node, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *rest]))
+    long = [f"**{name}**: {value}\n" for name, value in texts.items() if len(value) >= LONG]
+    log_markdown(node, "\n".join([f"### {_plain(title)}", "", f"| {kind} | |", "|---|---|", *rows, "", *long]))
 
 
 def log_markdown(node: Node, text: str) -> None:
-    """Log a document."""
+    """Log a Markdown document."""
     node.log(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
 def _plain(text: str) -> str:
-    """Text with Markdown's signs escaped."""
+    """Text in one line, with Markdown's special characters escaped."""
     return "".join(f"\\{c}" if c in "\\`*_[]<>#|" else c for c in " ".join(str(text).split()))
 
 
@@ -114,17 +114,17 @@ class Page:
     name: str
     """Name in the viewer."""
     identity: str
-    """Identifier; a viewer takes two recordings of one identity for one."""
+    """Identifier; a viewer merges recordings of the same identity."""
     log: Callable[[rr.RecordingStream], None]
-    """Function that logs everything."""
+    """Function that logs all entities to a stream."""
     layout: rrb.View | rrb.Container
     """Views."""
     timeline: str
-    """Timeline on which it opens: SIM_TIME, playing from the start, or ITERATION, at the last one."""
+    """Timeline on which the page opens: SIM_TIME, playing from the start, or ITERATION, at the last iteration."""
 
     @property
     def blueprint(self) -> rrb.Blueprint:
-        """Its views and nothing else; the panels are a click away."""
+        """Blueprint of the views alone, with the viewer's panels collapsed."""
         play = "playing" if self.timeline == SIM_TIME else "following"
         return rrb.Blueprint(
             self.layout,
@@ -140,7 +140,7 @@ def save(page: Page, path: Path) -> None:
     """Write a page as an .rrd file, whole or not at all."""
 
     def write(part: Path) -> None:
-        # by way of memory: on a full disk Rerun's own writer waits for ever, or loses the end without a word
+        # through memory: on a full disk, Rerun's own writer blocks for ever or drops the end without an error
         with open(os.memfd_create("recording"), "rb") as memory, open(part, "wb") as file:
             _send(page, rr.FileSink(f"/proc/self/fd/{memory.fileno()}"))
             shutil.copyfileobj(memory, file)
@@ -155,7 +155,7 @@ def send(page: Page, url: str) -> None:
 
 def _send(page: Page, sink: rr.FileSink | rr.GrpcSink) -> None:
     stream = rr.RecordingStream(APPLICATION, recording_id=page.identity)
-    stream.set_log_time_enabled(False)  # a trial has its own time, not that of its logging
+    stream.set_log_time_enabled(False)  # the time of the trial, not of its logging
     stream.set_log_tick_enabled(False)
     stream.set_sinks(sink, default_blueprint=page.blueprint)
     try:

@@ -1,4 +1,4 @@
-"""A plan in Rerun: its actions on the object, and the errors that are expected after each, by iteration."""
+"""A plan in Rerun: its actions on the object, and the expected errors after each action, by iteration."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ THICK = rr.Radius.ui_points(1.6)
 
 
 def plan_page(plan: PlanView) -> Page:
-    """The recording of a plan."""
-    # on the scale of the errors after the first actions: those after the weighing alone are above it
+    """Page of a plan."""
+    # scale of the errors after two actions: those after the weighing alone exceed it
     top = float(plan.grams[min(2, len(plan.errors) - 1)].max())
     scale = Scale(max(top, 0.1), DIFFERENCE_COLORS, PLAN_ERROR, open=True)
     errors = MassMap(plan.shape, plan.grams, scale, CANVAS)

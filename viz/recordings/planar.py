@@ -1,7 +1,7 @@
-"""Planar scenes in Rerun: y upwards, a length or a mass as the unit, and text that fits.
+"""Planar scenes in Rerun: y upwards, a length or a mass as the unit, and checks for overlapping labels.
 
-Rerun's planar views have y downwards; scenes are logged below an entity that turns them over, so that the stored
-coordinates are the object's own.
+Rerun's planar views have y downwards; scenes are logged below an entity that mirrors y, so that the stored coordinates
+are the object's own.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from viz.recordings.page import Node
 from viz.style import BACKGROUND, BLACK, EDGE, rgb
 
 CHARACTER, LINE = 7.5, 22.0
-"""Width of a label's letter, and height of a label with its frame [pixels]."""
+"""Width of a character of a label, and height of a label with its frame [pixels]."""
 MARGIN = 4.0
 """Distance between a label and its surroundings [pixels]."""
 HAIR = rr.Radius.ui_points(0.75)
@@ -41,7 +41,7 @@ class Canvas:
         return max(box.width / self.width, box.height / self.height)
 
     def framed(self, box: Bbox, sides: float, above: float, below: float) -> Bbox:
-        """The box with room for so many pixels around it."""
+        """The box with margins around it; `sides`, `above` and `below` in pixels."""
         pixel = max(box.width / (self.width - 2 * sides), box.height / (self.height - above - below))
         left, right = box.x0 - sides * pixel, box.x1 + sides * pixel
         return Bbox.from_extents(left, box.y0 - below * pixel, right, box.y1 + above * pixel)
@@ -54,12 +54,12 @@ def planar_view(origin: str, box: Bbox, name: str) -> rrb.Spatial2DView:
 
 
 def log_upright(node: Node, at: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Make an entity the root of a scene with y upwards, with its own origin at `at` of the view."""
+    """Make an entity the root of a scene with y upwards and its origin at `at` of the view."""
     node.log(rr.Transform3D(translation=[at[0], -at[1], 0], mat3x3=np.diag([1.0, -1.0, 1.0])))
 
 
 def log_lines(node: Node, lines: Sequence[np.ndarray], color: str = EDGE, order: float = 20.0) -> None:
-    """Log thin lines, each (N, 2); those of higher `order` lie on top."""
+    """Log thin lines, each (N, 2); lines of higher `order` are drawn on top."""
     node.log(rr.LineStrips2D(lines, colors=rgb(color), radii=HAIR, draw_order=order))
 
 
@@ -70,13 +70,13 @@ def log_texts(
     pixel: float,
     colors: UInt8[np.ndarray, "N 3"] | str = BLACK,
 ) -> None:
-    """Log texts of one line about their middles; `pixel` is the size of a pixel in the scene's unit."""
+    """Log texts of one line centered at `middles`; `pixel` is the size of a pixel in the scene's unit."""
     shade = rgb(colors) if isinstance(colors, str) else colors
-    node.log(rr.Points2D(hung(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade))
+    node.log(rr.Points2D(label_anchors(middles, pixel), radii=1e-6, labels=texts, show_labels=True, colors=shade))
 
 
-def hung(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "N 2"]:
-    """Points whose labels, which hang below them, lie about `middles`."""
+def label_anchors(middles: Float[np.ndarray, "N 2"], pixel: float) -> Float[np.ndarray, "N 2"]:
+    """Points whose labels, which Rerun draws below them, are centered at `middles`."""
     return np.asarray(middles) + np.array([0, (LINE / 2 + 3) * pixel])
 
 
@@ -86,7 +86,7 @@ def text_width(text: str) -> float:
 
 
 def have_room(middles: Float[np.ndarray, "N 2"], texts: Sequence[str], pixel: float) -> bool:
-    """True if no two texts about these middles overlap."""
+    """True if no two texts centered at `middles` overlap."""
     width = np.array([text_width(text) for text in texts]) * pixel
     apart = np.abs(middles[:, None] - middles[None])
     clash = (apart[..., 0] < (width[:, None] + width) / 2) & (apart[..., 1] < LINE * pixel)
@@ -94,7 +94,7 @@ def have_room(middles: Float[np.ndarray, "N 2"], texts: Sequence[str], pixel: fl
 
 
 def ticks(top: float, most: int = 4) -> tuple[Float[np.ndarray, "K"], list[str]]:
-    """Round values from 0 to at most `top`, and their texts."""
+    """Round values from 0 to at most `top`, about `most` of them, and their texts."""
     values = np.array(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
     values = values[(values >= 0) & (values <= top * (1 + 1e-9))]
     return values, [f"{value:.6g}" for value in values]

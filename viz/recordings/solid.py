@@ -1,4 +1,4 @@
-"""An object in Rerun, as it lies on the table: parts, points of contact, grasps and center of mass."""
+"""An object in Rerun, in its pose on the table: parts, points of contact, grasps and center of mass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAD = np.array([0.007, 0.022, 0.022])
 
 
 def object_page(model: ObjectModel) -> Page:
-    """The recording of an object, for approval before any trial."""
+    """Page of an object, for approval before any trial."""
 
     def log(stream: rr.RecordingStream) -> None:
         node = Node(stream, "object")
@@ -59,7 +59,7 @@ def _log_parts(node: Node, model: ObjectModel) -> None:
             corners = solid.vertices[solid.faces]
             normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-            triangles = np.arange(3 * len(corners)).reshape(-1, 3)  # corners of their own: flat faces
+            triangles = np.arange(3 * len(corners)).reshape(-1, 3)  # no shared corners: flat shading
             place.log(
                 rr.Mesh3D(
                     vertex_positions=corners.reshape(-1, 3),
@@ -76,7 +76,7 @@ def _log_parts(node: Node, model: ObjectModel) -> None:
 
 
 def _log_grasp(node: Node, grasp: Grasp) -> None:
-    """The two pads, outside the faces that they press."""
+    """Log the two pads of a grasp, outside the faces that they press."""
     closing = rotation_2d(grasp.angle)[:, 0]
     top = grasp.bottom + PAD[2] if grasp.top is None else grasp.top
     height = (max(grasp.bottom, 0.0) + top) / 2

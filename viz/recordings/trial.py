@@ -1,4 +1,4 @@
-"""One trial in Rerun: robot and object in motion, the table's forces, and the wrench, measured and predicted."""
+"""One trial in Rerun: motion of robot and object, forces of the table, and the wrench, measured and predicted."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from viz.trials import push_contacts
 from viz.values import ActionArrow, TrialView, WrenchFit
 
 FOOT_ARROW, HAND_ARROW = 0.1, 0.01
-"""Lengths of the arrows of a foot's and of the gripper's force [m/N]."""
+"""Scales of the arrows of a foot's and of the gripper's force [m/N]."""
 MARK = 0.003
 """Radius of a marked point of the object [m]."""
 FITS_EVERY = 4
-"""One sample in so many is drawn of trials that stand side by side."""
+"""Stride of the samples of trials that are drawn side by side."""
 WRENCH = [f"{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
 
 
@@ -93,7 +93,7 @@ def trial_blueprint(root: str, view: TrialView) -> rrb.Container:
     whole = plots("compensated", force, torque, "after tare and tool")
     raw = plots("raw", "force at the sensor, its axes, N", "torque at the sensor, its axes, N m", "raw")
     states = rrb.StateTimelineView(origin=f"{root}/states", name="phase, and samples for the estimator")
-    more = "; orange: push, and where its contact went" * pushed + "; outlines: links; dots: hinges" * hinged
+    more = "; orange: push and path of its contact" * pushed + "; outlines: links; dots: hinges" * hinged
     scene = rrb.Spatial3DView(
         origin=f"{root}/scene",
         name=f"scene; arrows: table on a foot {100 * FOOT_ARROW:g} cm, gripper {100 * HAND_ARROW:g} cm a N{more}",
@@ -114,11 +114,11 @@ class _Shapes(MJCFLogger):
     """Logger of the bodies' geometry without their poses at rest."""
 
     def log_data(self, data: Any, recording: rr.RecordingStream | None = None) -> None:
-        """Log nothing: the trial has the poses."""
+        """Log nothing: the poses are those of the trial."""
 
 
 def _log_robot(node: Node, view: TrialView) -> None:
-    """Log the geometry once and the bodies' poses on `sim_time`; a body that never moves is static."""
+    """Log the bodies' geometry, and their poses on `sim_time`; the pose of a body at rest is static."""
     poses, shapes = view.poses, _Shapes(view.poses.model, node.path)
     shapes.log_model(node.stream)
     for body in range(poses.model.nbody):
@@ -132,7 +132,7 @@ def _log_robot(node: Node, view: TrialView) -> None:
 
 
 def _log_object(node: Node, view: TrialView) -> None:
-    """Log the object's cells in the colors of their groups, with the group's true mass where known, and its pose."""
+    """Log the object's cells in the colors of their groups, labeled with known true masses, and the object's pose."""
     shape, truth = view.shape, view.truth
     half = np.array([shape.cell / 2, shape.cell / 2, shape.height / 2])
     centers = np.column_stack([shape.particles, np.full(len(shape.particles), shape.height / 2)])
@@ -151,7 +151,7 @@ def _log_object(node: Node, view: TrialView) -> None:
             half_sizes=half,
             colors=[style.rgb(group_color(group)) for group in groups],
             labels=[names[group] for group in groups],
-            show_labels=False,  # the viewer shows them where one is pointed at
+            show_labels=False,  # the viewer shows them on hover
             fill_mode="transparentfillmajorwireframe",
         )
 
@@ -176,18 +176,19 @@ def _log_object(node: Node, view: TrialView) -> None:
 
 
 def _log_push(node: Node, shape: ObjectShape, trajectory: Trajectory, height: float) -> None:
-    """Log the arrow of a push up to where it meets the object, and the path of its contact point, object frame."""
+    """Log the arrow of a push up to its first contact, and the path of its contact point, object frame."""
     arrow = ActionArrow.of(shape, trajectory.action)
-    way, path = (np.insert(p, 2, height, axis=1) for p in (arrow.way, push_contacts(shape, trajectory)))
+    approach, path = (np.insert(p, 2, height, axis=1) for p in (arrow.way, push_contacts(shape, trajectory)))
     color = style.rgb(style.PUSH)
-    (node / "push").log(rr.Arrows3D(origins=way[:1], vectors=way[-1:] - way[:1], colors=color, radii=0.0015))
-    (node / "contact").log(rr.Points3D(way[-1:], colors=color, radii=MARK))
+    vector = approach[-1:] - approach[:1]
+    (node / "push").log(rr.Arrows3D(origins=approach[:1], vectors=vector, colors=color, radii=0.0015))
+    (node / "contact").log(rr.Points3D(approach[-1:], colors=color, radii=MARK))
     if len(path):
         (node / "contact_path").log(rr.LineStrips3D([path], colors=color, radii=MARK / 2))
 
 
 def _object_poses(trajectory: Trajectory) -> dict[str, Any]:
-    """Poses of the object: over the table, or in space where it is lifted and was gripped."""
+    """Poses of the object: planar, or in space for a lift with a grip."""
     if trajectory.action.in_air and trajectory.mask(Phase.SETTLE).any():
         place, axes = poses_in_space(trajectory)
         return {"translation": place, "quaternion": Rotation.from_matrix(axes).as_quat()}
@@ -202,7 +203,7 @@ def _on_table(pose: Float[np.ndarray, "T 3"]) -> dict[str, Any]:
 
 
 def _log_feet(node: Node, view: TrialView, feet: FootForces) -> None:
-    """Log normal load and friction under every foot, in the object's axes: arrows move and turn with it."""
+    """Log normal force and friction under every foot, object axes, so that the arrows move with the object."""
     count = len(feet.particle)
     yaw = np.interp(feet.time_s, view.trajectory.time_s, view.trajectory.object_pose[:, 2])
     inward = np.einsum("nij,nfj->nfi", rotation_2d(-yaw), feet.force[..., :2])
@@ -238,7 +239,7 @@ def fits_blueprint(root: str, fits: Sequence[WrenchFit]) -> rrb.Container:
 
 
 def _log_fit(node: Node, fit: WrenchFit, every: int = 1) -> None:
-    """Log measured and predicted wrench, and the band around the prediction; one sample in so many."""
+    """Log measured and predicted wrench, and the band around the prediction, at every `every`-th sample."""
     time_s, measures, predictions, bands = (a[::every] for a in (fit.time_s, fit.measured, fit.predicted, fit.band))
     for index, entity in enumerate(("force/x", "force/y", "torque/z")):
         color, name = style.AXIS_COLORS[index], entity[-1]
@@ -247,7 +248,7 @@ def _log_fit(node: Node, fit: WrenchFit, every: int = 1) -> None:
         if np.isnan(predicted).all():
             continue
         _log_line(node / entity / "model", f"{name}, model", style.EDGE, time_s, predicted, 2.5)
-        for side, sign in (("upper", 1), ("lower", -1)):  # of one name: the legend has them once
+        for side, sign in (("upper", 1), ("lower", -1)):  # one name, so that the legend has one entry
             values = predicted + sign * band
             _log_line(node / entity / side, f"{name}, 95 %", "#A0A0A0", time_s, values, 1.0)
 
@@ -259,7 +260,7 @@ def _log_line(node: Node, name: str, color: str, time_s: np.ndarray, values: np.
 
 
 def _log_states(node: Node, view: TrialView) -> None:
-    """Log lanes: the phase, and the steady window of which an estimator is given the samples."""
+    """Log two lanes of states: the phase, and the steady window, whose samples estimators use."""
     trajectory = view.trajectory
     steady = np.where(view.fit.steady, "steady window", "")
     names = np.array([phase.name.lower() for phase in Phase])[trajectory.phase]
@@ -272,7 +273,7 @@ def _log_states(node: Node, view: TrialView) -> None:
 
 
 class SensorStream:
-    """Connection that sends a sensor's samples to the viewer at `url`, as a recording named `title`."""
+    """Stream of a sensor's samples to the viewer at `url`, as a recording named `title`."""
 
     def __init__(self, url: str, title: str):
         views = [rrb.TimeSeriesView(origin=k, name=f"{k}, {unit}") for k, unit in (("force", "N"), ("torque", "N m"))]

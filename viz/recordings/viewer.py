@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process of its own: on the screen, in a browser, or one that is already open."""
+"""Rerun's viewer as a separate process: a new window, a page in a browser, or a window that is already open."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from threading import Thread
 from testbed.errors import HeftError, InvalidValueError
 
 HOST, PORT = "127.0.0.1", 9876
-"""Address at which a viewer listens: on this machine alone."""
+"""Address at which a viewer listens: local connections only."""
 _NO_GRAPHICS = ("No graphics adapter", "No suitable", "wgpu", "NoSuitableAdapterFound")
 
 
 class ViewerError(HeftError):
-    """No viewer, or none that can open here."""
+    """Viewer that is not installed, cannot open or did not start."""
 
 
 def url_of(port: int) -> str:
-    """Address at which a viewer of this machine takes recordings."""
+    """Address at which a viewer of this machine receives recordings."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
@@ -43,7 +43,7 @@ def listens(port: int = PORT) -> bool:
 
 
 def free_port() -> int:
-    """A port of this machine that is not in use."""
+    """Port of this machine that is not in use."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return probe.getsockname()[1]
@@ -55,10 +55,10 @@ def has_display() -> bool:
 
 
 def check_display(*, web: bool) -> None:
-    """Check that there is a display or a browser.
+    """Check that the viewer has a display, unless it is served to a browser.
 
     Raises:
-        ViewerError: no display, and no browser instead.
+        ViewerError: no display, and not `web`.
     """
     if not web and not has_display():
         raise ViewerError(
@@ -81,10 +81,10 @@ def open_file(path: Path) -> None:
 
 
 def waiting(port: int = PORT) -> str:
-    """Address of a viewer that takes recordings: the one that is open, or a new one.
+    """Address of a viewer that receives recordings: the open one, or a new one.
 
     Raises:
-        ViewerError: none is open, and none can be opened.
+        ViewerError: no viewer is open, and none can be opened.
     """
     if listens(port):
         return url_of(port)
@@ -113,13 +113,13 @@ def program() -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Environment of the viewer: it sends no usage data in continuous integration."""
+    """Environment of the viewer: as in continuous integration, where it sends no usage data."""
     own = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
     return own | {"CI": "true", "RUST_LOG": "warn"}
 
 
 def reason(output: str) -> str:
-    """Reason why a viewer ended, in one line, from its output."""
+    """Reason for a viewer's end, in one line, from its output."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     if any(word in line for line in lines for word in _NO_GRAPHICS):
         return "the viewer found no graphics: install a driver, or Mesa's: apt install mesa-vulkan-drivers libegl1"
@@ -137,20 +137,20 @@ _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
 _LIBC = ctypes.CDLL(None)
 _open = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
-"""Opener of addresses of this machine: past any proxy."""
+"""Opener of addresses of this machine, without any proxy."""
 
 
 @contextmanager
 def served(recording: Path, port: int = 0) -> Iterator[str]:
-    """Serve the viewer with a recording while the block lasts; gives the address to open.
+    """Serve the viewer and a recording during the block; yields the address to open.
 
     Args:
-        recording: file to be shown.
-        port: of this machine, for the page and the data alike; a free one if 0.
+        recording: file.
+        port: of this machine, for both the page and the data; a free one if 0.
 
     Raises:
         ViewerError: the viewer did not start.
-        InvalidValueError: the port is in use, or not for a user.
+        InvalidValueError: the port is in use, or reserved.
     """
     source = free_port()
     try:
@@ -171,12 +171,12 @@ def served(recording: Path, port: int = 0) -> Iterator[str]:
 
 @contextmanager
 def _rerun(source: int) -> Iterator[None]:
-    """Rerun's own server of the viewer's files at a port, while the block lasts."""
+    """Run Rerun's own server of the viewer's files at a port during the block."""
     command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(command, env=environment(), stdout=quiet, stderr=quiet, preexec_fn=_end_with_heft)  # noqa: PLW1509  prctl alone
     try:
-        _wait(process, f"http://{HOST}:{source}/")
+        _wait_for_answer(process, f"http://{HOST}:{source}/")
         yield
     finally:
         process.kill()
@@ -184,19 +184,19 @@ def _rerun(source: int) -> Iterator[None]:
 
 
 def _end_with_heft() -> None:
-    """In a new process: be killed when the one that started it ends, however that is."""
+    """Request, in a new process, that the kernel kills it when its parent ends."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Server of the recording and of the files of Rerun's server."""
+    """Handler of requests for the recording and for the files of Rerun's server."""
 
     def __init__(self, recording: Path, source: str, *rest):
         self._recording, self._source = recording, source
         super().__init__(*rest)
 
     def do_GET(self) -> None:
-        """Pass a file on, under the policy: to a page of this machine, not to a stranger's whose name leads here."""
+        """Send a file with the content policy; refuse host names other than this machine's (DNS rebinding)."""
         if urllib.parse.urlsplit(f"//{self.headers.get('Host', '')}").hostname not in _OWN_NAMES:
             self.send_error(403, "another host's name")
             return
@@ -222,7 +222,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Keep quiet."""
 
 
-def _wait(process: subprocess.Popen[bytes], address: str) -> None:
+def _wait_for_answer(process: subprocess.Popen[bytes], address: str) -> None:
+    """Wait until a server answers; raises ViewerError after _STARTING_S, or where its process ended."""
     until = time.monotonic() + _STARTING_S
     while process.poll() is None and time.monotonic() < until:
         try:

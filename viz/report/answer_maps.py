@@ -1,4 +1,4 @@
-"""Maps of a measured object's answers: each group's mass, and how far its interval reaches."""
+"""Maps of a measured object's answers: each group's mass, and the half width of its interval."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from viz.style import DIFFERENCE_COLORS, MASS_COLORS, STYLE, Scale, aspect
 from viz.values import DEVIATIONS
 
 MOST_DRAWN = 3
-"""Answers that are drawn: those with intervals, where there is one."""
+"""Largest number of answers that are drawn; where some have intervals, only those."""
 
 
 @mpl.rc_context(STYLE)

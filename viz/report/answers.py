@@ -1,4 +1,4 @@
-"""Answers for people: masses with their intervals, their sum and center, the misfit, and the verdict on the support."""
+"""Answers as tables and plain data: masses with intervals, their sum and center, the misfit, the support's verdict."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ class Quantity(NamedTuple):
     unit: str
     value: float
     error: float
-    """Standard error: infinite where it is not observed, NaN where the method gives none."""
+    """Standard error: infinite where the quantity is not observed, NaN where the method gives none."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Least and largest value of its 90 % interval; a mass is not negative."""
+        """Lower and upper end of the 90 % interval; that of a mass begins at 0 or above."""
         half = DEVIATIONS * self.error
         return max(self.value - half, 0.0) if self.unit == "kg" else self.value - half, self.value + half
 
     @property
     def ends(self) -> tuple[float | None, float | None]:
-        """The interval as data; None where it is not known."""
+        """Ends of the interval as plain data; None where the error is unknown or infinite."""
         low, high = self.interval
         return (low, high) if math.isfinite(self.error) else (None, None)
 
     def words(self) -> str:
-        """Value and interval, lengths in mm."""
+        """Value and interval as text, lengths in mm."""
         scale, digits = (1e3, 1) if self.unit == "m" else (1.0, 3)
         if math.isinf(self.error):
             return "not observed"
@@ -54,7 +54,7 @@ class Answer:
 
     object: str
     support: str
-    """Support of its weight, as the operator knows it."""
+    """Support of the object's weight, as stated by the operator."""
     method: str
     status: str
     message: str
@@ -66,9 +66,9 @@ class Answer:
     misfit: float
     """Mean squared residual in standard errors; NaN where the method gives none."""
     verdict: str
-    """Verdict of the trials on the support, in a word or two."""
+    """Verdict of the trials on the support, in one to three words."""
     evidence: str
-    """The same in a sentence; empty where it is not tested."""
+    """Verdict in a sentence; empty where the support was not tested."""
 
     @property
     def quantities(self) -> list[Quantity]:
@@ -86,6 +86,7 @@ class Answer:
         return [Quantity(*name, float(v), e) for name, v, e in zip(names, values, errors, strict=True)]
 
     def _error(self, row: np.ndarray) -> float:
+        """Standard error of the linear combination `row`, (n_m,), of the particle masses."""
         if self.covariance is None:
             return math.nan
         known = np.isfinite(self.covariance)
@@ -96,7 +97,7 @@ class Answer:
 
 
 def answer_table(answers: Sequence[Answer]) -> Table:
-    """Numbers of one object down, methods across."""
+    """Table of one object: quantities down, methods across."""
     first = answers[0]
     title = f"{first.object}, {support_name(first.support)}: masses in kg, center in mm [{LEVEL} interval]"
     by_method = [{q.name: q.words() for q in answer.quantities} for answer in answers]
@@ -118,7 +119,7 @@ def _frictions(answer: Answer) -> str:
 
 
 def answer_rows(answers: Sequence[Answer]) -> list[dict[str, Any]]:
-    """A row a number: object, support, method, status, name, unit, value, and the ends of its interval."""
+    """One row per quantity: object, support, method, status, name, unit, value, and the ends of its interval."""
     labels = ("object", "support", "method", "status")
     return [
         {
@@ -135,7 +136,7 @@ def answer_rows(answers: Sequence[Answer]) -> list[dict[str, Any]]:
 
 
 def answer_fields(answer: Answer) -> dict[str, Any]:
-    """All that is said of one object by one method, as plain data; what is not known is None."""
+    """Fields of an answer as plain data; unknown numbers are None."""
     numbers = [(q, *q.ends) for q in answer.quantities]
     return {
         "object": answer.object,

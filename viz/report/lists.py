@@ -11,7 +11,7 @@ from viz.report.tables import number
 from viz.values import support_name
 
 MOST_NAMES = 12
-"""Largest number of objects of a failure that are named."""
+"""Largest number of names in a list of objects, supports or methods."""
 NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
 """Numbers within a reason."""
 CLAUSE = re.compile(r"[:;(]")
@@ -29,11 +29,11 @@ class Worst:
     swept: str
     """Swept settings and their values."""
     key: str
-    """Folder of the estimate; empty where not known."""
+    """Folder of the estimate; empty where unknown."""
     trials: tuple[str, ...]
     """Folders of its trials."""
     recording: str
-    """Path of its recording; empty where there is none."""
+    """Path of its recording; empty without a recording."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class FailedEstimates:
     """Estimates that are not ok for the same reason."""
 
     method: str
-    """Method, or several."""
+    """Names of the methods."""
     status: str
     message: str
     count: int
@@ -49,25 +49,25 @@ class FailedEstimates:
     """Supports and sensings."""
     objects: str
     traceback: str
-    """Traceback at the end of the run; empty where there is none."""
+    """Traceback of one of the estimates; empty without any."""
     path: str
     """File with the traceback."""
 
     @property
     def line(self) -> str:
-        """Method, number, status, objects, setting and reason."""
+        """Method, count, status, objects, setting and reason in one line."""
         place = "; ".join(filter(None, (self.objects, self.where)))
         return f"{self.method}: {self.count} {self.status} ({place}): {self.message}"
 
 
 def worst_of(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """The ten estimates with the greatest NAD, and the five of the hidden states."""
+    """The ten estimates with the largest NAD, and the five with the largest NAD of the hidden states."""
     ranked = sorted((row for row in rows if row["nad"] is not None), key=lambda row: -row["nad"])
     return ranked[:10], [row for row in ranked if row["kind"] == "hidden_states"][:5]
 
 
 def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst]:
-    """Estimates with their files."""
+    """Entries of estimates, with the paths of their files."""
     axes = axes_of(rows)
     return [
         Worst(
@@ -86,7 +86,8 @@ def worst(rows: Sequence[Row], recording_of: Callable[[str], str]) -> list[Worst
 def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedEstimates]:
     """Estimates that are not ok, by method, status and reason; the most frequent first.
 
-    Answers of any method whose reasons begin alike, but for numbers, count as one: the first is shown.
+    Estimates with a status other than "failed" share an entry, over all methods, if the first clauses of their reasons
+    differ at most in numbers; the entry shows the first reason.
     """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
@@ -96,26 +97,26 @@ def failures(rows: Sequence[Row], tracebacks: Mapping[str, str]) -> list[FailedE
                 method, message = "", NUMBERS.sub("", CLAUSE.split(message)[0])
             found.setdefault((method, row["status"], message), []).append(row)
     listed = []
-    for (_, status, _), of in sorted(found.items(), key=lambda item: -len(item[1])):
-        message, method = of[0]["message"] or "", names(list(dict.fromkeys(row["method"] or "" for row in of)))
-        where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in of)
-        objects = names(list(dict.fromkeys(row["object"] for row in of)))
-        path = _traceback_of(of, status, message, tracebacks)
-        trace = tracebacks.get(path, "")
+    for (_, status, _), alike in sorted(found.items(), key=lambda item: -len(item[1])):
+        message, method = alike[0]["message"] or "", names(list(dict.fromkeys(row["method"] or "" for row in alike)))
+        where = dict.fromkeys(", ".join(filter(None, (support_name(row["support"]), row["sensing"]))) for row in alike)
+        objects = names(list(dict.fromkeys(row["object"] for row in alike)))
+        path = _traceback_of(alike, status, message, tracebacks)
+        trace, count = tracebacks.get(path, ""), len(alike)
         listed.append(
-            FailedEstimates(method or "every method", status, message, len(of), "; ".join(where), objects, trace, path)
+            FailedEstimates(method or "every method", status, message, count, "; ".join(where), objects, trace, path)
         )
     return listed
 
 
-def names(every: Sequence[str]) -> str:
-    """The first few, and how many more."""
-    more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
-    return ", ".join(every[:MOST_NAMES]) + more
+def names(texts: Sequence[str]) -> str:
+    """The first MOST_NAMES texts in a line, and the number of the others."""
+    more = f" and {len(texts) - MOST_NAMES} more" if len(texts) > MOST_NAMES else ""
+    return ", ".join(texts[:MOST_NAMES]) + more
 
 
 def _traceback_of(rows: Sequence[Row], status: str, message: str, tracebacks: Mapping[str, str]) -> str:
-    """Path of a traceback of these rows, or of one that ends in their message."""
+    """Path of a traceback of these rows, else of one that ends in their message, else empty."""
     paths = [f"estimates/{row.get('key')}/error.txt" for row in rows]
     known = [path for path in paths if path in tracebacks]
     if status == "failed" and message:

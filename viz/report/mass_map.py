@@ -1,4 +1,4 @@
-"""Mass map for a terminal: the object from above, a shade and color for each group's mass, and its number."""
+"""Mass map for a terminal: the object from above, with a shade, a color and a number for each group's mass."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from viz.report.answers import Answer
 from viz.style import MASS_COLORS, mapped, text_color
 
 WIDEST = 72
-"""Most characters in a line."""
+"""Largest width [characters]."""
 _SHADES = "·░▒▓█"
-"""Fills from no mass to the largest; where there are colors each has that of its ground."""
+"""Fill characters from zero to the largest mass; on a terminal with colors they equal their background."""
 
 
 def mass_map(answer: Answer) -> Text:
-    """The object from above, y up, each group with its name and mass [kg], or "?" where it is not observed.
+    """Map of the object from above, y up, each group with its name and mass [kg], or "?" where it is not observed.
 
     Raises:
         ValueError: an answer without masses.
@@ -30,7 +30,7 @@ def mass_map(answer: Answer) -> Text:
     mass = np.array([math.nan if math.isinf(quantity.error) else quantity.value for quantity in found])
     top = float(np.nanmax(mass, initial=1e-9))
     level = np.nan_to_num(np.clip(mass / top, 0, 1) * (len(_SHADES) - 1)).round().astype(int)
-    grounds = mapped(mass, top, MASS_COLORS)
+    backgrounds = mapped(mass, top, MASS_COLORS)
     letters = np.array([[" " if g < 0 else _SHADES[level[g]] for g in row] for row in groups])
     written = np.zeros(groups.shape, dtype=bool)
     for index, name in enumerate(names):
@@ -45,15 +45,15 @@ def mass_map(answer: Answer) -> Text:
             if group < 0:
                 text.append(letter)
                 continue
-            ground = to_hex(tuple(grounds[group] / 255))
-            front = to_hex(tuple(text_color(grounds[group]) / 255)) if written[row, column] else ground
-            text.append(letter, f"{front} on {ground}")
+            background = to_hex(tuple(backgrounds[group] / 255))
+            color = to_hex(tuple(text_color(backgrounds[group]) / 255)) if written[row, column] else background
+            text.append(letter, f"{color} on {background}")
         text.append("\n")
     return text
 
 
 def _grid(answer: Answer) -> np.ndarray:
-    """Group at each character, two per cell; -1 outside."""
+    """Group at each character, (rows, columns), two characters per cell; -1 outside the object."""
     shape = answer.shape
     cells = shape.particles[shape.cells]
     places = np.round((cells - cells.min(axis=0)) / shape.cell).astype(int)
@@ -65,7 +65,7 @@ def _grid(answer: Answer) -> np.ndarray:
 
 
 def _places(inside: np.ndarray, labels: list[str]) -> list[tuple[str, int, slice]]:
-    """Row and columns of each label, one below the other in a group's middle; one that does not fit is left out."""
+    """Row and columns of each label, stacked in the middle of a group; labels that do not fit are left out."""
     rows = np.flatnonzero(inside.any(axis=1))
     first = int(rows[max((len(rows) - len(labels)) // 2, 0)]) if len(rows) else 0
     labels = labels if len(rows) > 1 else labels[-1:]

@@ -1,4 +1,4 @@
-"""Report of a run: one HTML file with everything in it, to read, print, or send."""
+"""Report of a run: one self-contained HTML file, to read, print, or send."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ COLUMNS = (
     "mpd_turn_of_truth_m", "seconds", "robot_s",
     "mass_kg", "true_mass_kg", "group_names", "message", "key", "trial_keys",
 )  # fmt: skip
-"""Columns that a row may lack; they are then None."""
+"""Columns that a row may lack; missing ones are None."""
 MOST_FAILURES = 50
 """Largest number of kinds of failure that are listed."""
 PIXELS_PER_INCH = 80
-"""Least scale of a figure with small print."""
+"""Least scale of a figure with small print [pixels/inch]."""
 WORST_OBJECTS, OTHER_OBJECTS = 10, 5
 """Numbers of objects with a mass map where there are too many for one each."""
 MAPS_SHOW = "true mass, estimated mass and absolute difference, kg per group"
@@ -82,25 +82,25 @@ class Results:
     methods: Mapping[str, str]
     """Settings of each method, in words."""
     command: str
-    """Command that makes the same results again."""
+    """Command that reproduces the results."""
     scenario_toml: str
-    """The scenario as it ran, as a file."""
+    """TOML text of the scenario as it ran."""
     rows: Sequence[Row]
     """Rows of results.parquet."""
     shape_of: Callable[[str], ObjectShape | None]
-    """Geometry of an object by name, or None where it is not known any more."""
+    """Geometry of an object by name, or None where it is no longer available."""
     losses: Mapping[str, Mapping[str, Sequence[np.ndarray]]] = field(default_factory=dict)
     """Losses of the estimates, (I,) each, by method and optimiser."""
     tracebacks: Mapping[str, str] = field(default_factory=dict)
     """Tracebacks of estimates that failed, by path."""
     recording_of: Callable[[str], str] = lambda _: ""
-    """Path of an estimate's recording by its folder; empty where there is none."""
+    """Path of an estimate's recording by its folder; empty without a recording."""
     bad_trials: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
     """Folders of trials that are not ok, by status and reason."""
     answers: Sequence[Sequence[Answer]] = ()
-    """Answers of every method, object by object, where they were measured."""
+    """Answers of every method, by object, from measured trials."""
     trials_of: Callable[[str], TrialsView | None] = lambda _: None
-    """Trials of an object by name, or None where they are not known any more."""
+    """Trials of an object by name, or None where they are no longer available."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,11 @@ class Illustration:
     svg: Markup
     caption: str
     least: int | None = None
-    """Width [px] below which it scrolls in a box of its own; None where it may shrink to any screen."""
+    """Width [px] below which the figure scrolls in its box; None for a figure that shrinks to any screen."""
 
 
 Draw = Callable[..., Illustration]
-"""Function of a figure and its caption, and `wide` for one that scrolls."""
+"""Function of a figure, its caption, and `wide` for a figure that scrolls."""
 
 
 def write_report(results: Results, path: Path) -> None:
@@ -124,11 +124,11 @@ def write_report(results: Results, path: Path) -> None:
 
 @mpl.rc_context(STYLE)
 def render(results: Results) -> str:
-    """The report as HTML."""
+    """HTML of the report."""
     rows: list[dict[str, Any]] = [
         dict.fromkeys(COLUMNS) | {k: _plain(k, v) for k, v in row.items()} for row in results.rows
     ]
-    estimates = [row for row in rows if row["method"]]  # the others are objects without any estimate
+    estimates = [row for row in rows if row["method"]]  # other rows are objects without any estimate
     settings = by_setting(estimates).items()
     groups = {f"{support_name(support)}, {sensing}": found for (support, sensing), found in settings}
     worst_all, worst_own = (worst(found, results.recording_of) for found in worst_of(rows))
@@ -200,7 +200,7 @@ def render(results: Results) -> str:
 def _first_picture(
     groups: Mapping[str, Sequence[Row]], best: Table, maps: Mapping[str, Figure], draw: Draw
 ) -> Illustration | None:
-    """Maps of the object that the first method puts in the middle; NAD by method where there is no map."""
+    """Maps of the object with the median NAD under the first method; without a map, NAD by method."""
     if not groups or not best.rows:
         return None
     label, method = next(iter(groups)), best.rows[0][0][0]
@@ -212,19 +212,19 @@ def _first_picture(
 
 
 def breakable(name: object) -> Markup:
-    """A name that a narrow column may break after its underscores."""
+    """Name that may break after its underscores in a narrow column."""
     return Markup("_<wbr>").join(escape(part) for part in str(name).split("_"))
 
 
 def _plain(column: str, value: Any) -> Any:
-    """Value that can be compared: a swept setting that is no number becomes text."""
+    """Value that can be compared: swept settings other than numbers become text."""
     if column.startswith(AXIS) and not isinstance(value, int | float | str | None):
         return str(value)
     return value
 
 
 def _tables(rows: Sequence[Row]) -> list[Table]:
-    """A table a metric that has a number, by object or over many of them; those that are folded last."""
+    """One table per metric with values, by object or over many objects, and the claims; folded tables last."""
     many = len({row["object"] for row in rows}) > MOST_OBJECTS or axes_of(rows)
     tables = [(over_objects if many else metric_table)(rows, metric, metric.title) for metric in metrics_of(rows)]
     claims = claims_table(rows)
@@ -234,7 +234,7 @@ def _tables(rows: Sequence[Row]) -> list[Table]:
 def _sweeps(
     rows: Sequence[Row], groups: Mapping[str, Sequence[Row]], draw: Draw
 ) -> dict[str, list[tuple[Illustration, Table]]]:
-    """A picture and a table of each swept setting for every support and sensing under which it changes."""
+    """Figure and table of each swept setting, for every support and sensing under which it varies."""
     sweeps: dict[str, list[tuple[Illustration, Table]]] = {}
     for axis in axes_of(rows):
         split = {label: found for label, found in groups.items() if len(axis_values(found, axis)) > 1}
@@ -247,9 +247,9 @@ def _sweeps(
 
 
 def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
-    """All objects; of many, the ten with the worst NAD and a few spread evenly over the rest.
+    """All objects; of many, the ten with the largest mean NAD and a few spread evenly over the others.
 
-    The worst are those of the hidden states, where that method ran.
+    The NAD is that of the hidden states, where that method ran.
     """
     if len(objects) <= MOST_OBJECTS:
         return list(objects)
@@ -259,26 +259,27 @@ def mapped_objects(rows: Sequence[Row], objects: Sequence[str]) -> list[str]:
         if row["nad"] is not None:
             found[row["object"]].append(row["nad"])
     ranked = sorted(objects, key=lambda name: -float(np.mean(found[name])) if found[name] else 0.0)
-    rest = ranked[WORST_OBJECTS:]
-    others = np.unique(np.linspace(0, len(rest) - 1, min(OTHER_OBJECTS, len(rest))).astype(int))
-    return ranked[:WORST_OBJECTS] + [rest[i] for i in others]
+    others = ranked[WORST_OBJECTS:]
+    spread = np.unique(np.linspace(0, len(others) - 1, min(OTHER_OBJECTS, len(others))).astype(int))
+    return ranked[:WORST_OBJECTS] + [others[i] for i in spread]
 
 
 def _maps(
     groups: Mapping[str, Sequence[Row]], shapes: Mapping[str, ObjectShape]
 ) -> tuple[dict[str, Figure], dict[str, Figure]]:
-    """Differences by support and sensing, and the maps by object, on one scale, of each whose truth is known."""
+    """Differences by support and sensing, and maps by object, on one scale; objects with known truth only."""
     known = {label: [row for row in rows if row["true_mass_kg"] is not None] for label, rows in groups.items()}
     truths: dict[str, np.ndarray] = {}
     answers: dict[str, dict[str, list[MeanAnswer]]] = {}
     for name, shape in shapes.items():
-        of = {label: found for label, rows in known.items() if (found := select(rows, object=name))}
-        truth = np.array(next(iter(of.values()))[0]["true_mass_kg"] if of else [], dtype=float)
+        own = {label: found for label, rows in known.items() if (found := select(rows, object=name))}
+        truth = np.array(next(iter(own.values()))[0]["true_mass_kg"] if own else [], dtype=float)
         if len(truth) != shape.n_m:
             continue
         truths[name] = truth
         answers[name] = {
-            label: [a for m in compared_methods(found) if (a := MeanAnswer.of(found, m))] for label, found in of.items()
+            label: [a for m in compared_methods(found) if (a := MeanAnswer.of(found, m))]
+            for label, found in own.items()
         }
     scales = map_scales(list(truths.values()), [a for by in answers.values() for found in by.values() for a in found])
     pictures = {name: as_pixels(mass_maps(shapes[name], truths[name], answers[name], scales)) for name in truths}
@@ -291,7 +292,7 @@ def _maps(
 
 
 def middle_object(rows: Sequence[Row], method: str, names: Sequence[str]) -> str | None:
-    """The object of `names` in the middle by the method's mean NAD; None where the method has none of them."""
+    """Object of `names` with the median of the method's mean NAD; None where the method has a NAD of none."""
     found = {name: [row["nad"] for row in select(rows, object=name, method=method)] for name in names}
     known = {name: float(np.mean(nads)) for name in names if (nads := [n for n in found[name] if n is not None])}
     ranked = sorted(known, key=known.__getitem__)
@@ -299,20 +300,20 @@ def middle_object(rows: Sequence[Row], method: str, names: Sequence[str]) -> str
 
 
 def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
-    """A figure as an <svg> element.
+    """SVG element of a figure.
 
     Args:
         figure: matplotlib's figure.
-        title: its alternative text.
-        prefix: of its identifiers; one of its own for each figure of a page.
+        title: alternative text.
+        prefix: of the identifiers, unique for each figure of a page.
     """
     file = io.BytesIO()
     with mpl.rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # the reader's own fonts draw the text
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser's fonts draw the text
         lay_out(figure)
         figure.savefig(file, format="svg", dpi=130, transparent=True)
     root = ElementTree.fromstring(_CONTROL.sub(b"", file.getvalue()))
-    _forget_namespaces(root)
+    _drop_namespaces(root)
     used = {name for e in root.iter() for value in e.attrib.values() for name in _REFERENCE.findall(value)}
     for element in root.iter():
         for key, value in list(element.attrib.items()):
@@ -329,8 +330,8 @@ def inline_svg(figure: Figure, title: str, prefix: str) -> Markup:
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # ElementTree has escaped every text
 
 
-def _forget_namespaces(root: ElementTree.Element) -> None:
-    """Drop namespaces: HTML knows svg and href by their bare names."""
+def _drop_namespaces(root: ElementTree.Element) -> None:
+    """Remove namespaces, which HTML does not use, and the elements <metadata> and <style>."""
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag.split("}")[-1] in ("metadata", "style"):

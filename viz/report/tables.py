@@ -31,24 +31,24 @@ MOST_OBJECTS = 12
 """Largest number of objects with a column each."""
 TRUTH = "the true masses"
 PAPER = "  paper, real robot"
-"""Labels of rows that are no method's: the true masses, and the paper's figures of the method above."""
+"""Labels of rows without a method: scores of the true masses, and the paper's values of the method above."""
 
 
 BEYOND = 1000.0
-"""Value above which sizes are not distinguished: a predicted object meters from where it is."""
+"""Largest mean that is printed; larger ones, as of a predicted pose that is meters off, are "> 1000"."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """One measure of the comparison."""
+    """A metric of the comparison."""
 
     column: str
     """Column of the results."""
     title: str
     scale: float
-    """Factor from the results' unit to the title's."""
+    """Factor from the unit of the results to that of the title."""
     paper: dict[str, dict[str, float]]
-    """The paper's figures by method and object."""
+    """The paper's values by method and object."""
     reference: str | None = None
     """Column with the score of the true masses."""
     folded: str = ""
@@ -78,14 +78,14 @@ INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
 
 
 def metrics_of(rows: Sequence[Row]) -> list[Metric]:
-    """The metrics that some row has; of objects with hinges NAD, and the friction of those."""
+    """Metrics with a value in some row; for objects with hinges, NAD and the friction of the hinges."""
     if any(math.isfinite(row.get(HINGES.column) or math.nan) for row in rows):
         return [NAD, HINGES]
     return [metric for metric in METRICS if any(row.get(metric.column) is not None for row in rows)]
 
 
 def number(value: float, like: float | None = None) -> str:
-    """Three digits or so: 0.17, 3.46, 23.1, 174; as many after the point as for `like`, if given."""
+    """Text of a value with about three digits: 0.17, 3.46, 23.1, 174; with the decimal places of `like`, if given."""
     if np.isnan(value):
         return "-"
     size = abs(value if like is None else like)
@@ -101,15 +101,15 @@ class Entry:
     summary: Summary | None = None
     """Mean, spread and interval."""
     missing: str = ""
-    """Number of draws or estimates without an answer, or with status ok, in words."""
+    """Number of draws or estimates without an answer, or with the status ok, as text."""
     best: bool = False
     """True if significantly better than every other method."""
     doubted: bool = False
-    """True if some of its answers have a status other than ok."""
+    """True if some of the answers have a status other than ok."""
 
     @staticmethod
     def of(draws: Draws, status: str = "-", *, best: bool = False) -> Entry:
-        """Summary of draws; the status where none has an answer."""
+        """Entry with the summary of draws; with the status where no draw has an answer."""
         summary = summarize(draws)
         if summary is None:
             return Entry(status)
@@ -136,7 +136,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Table:
-    """A head, and rows of labels and cells."""
+    """A table: heads, and rows of labels and cells."""
 
     title: str
     columns: tuple[str, ...]
@@ -152,16 +152,16 @@ class Table:
 
 
 def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Sequence[str] | None = None) -> Table:
-    """One metric under one support and sensing: methods down, objects across."""
+    """Table of one metric under one support and sensing: methods down, objects across."""
     methods = _methods_with(rows, metric)
     objects = list(dict.fromkeys(row["object"] for row in rows)) if objects is None else objects
-    of = {name: {m: select(rows, object=name, method=m) for m in methods} for name in objects}
-    draws = {name: {m: draws_of(of[name][m], metric.column, metric.scale) for m in methods} for name in objects}
+    own = {name: {m: select(rows, object=name, method=m) for m in methods} for name in objects}
+    draws = {name: {m: draws_of(own[name][m], metric.column, metric.scale) for m in methods} for name in objects}
     best = {name: significantly_best(draws[name]) for name in objects}
     lines = []
     for method in methods:
         cells = [
-            _over_draws(of[name][method], draws[name][method], metric, best=best[name] == method) for name in objects
+            _over_draws(own[name][method], draws[name][method], metric, best=best[name] == method) for name in objects
         ]
         lines.append(((method,), tuple(cells)))
         published = metric.paper.get(method, {})
@@ -178,36 +178,36 @@ def metric_table(rows: Sequence[Row], metric: Metric, title: str, objects: Seque
 
 
 def _over_draws(rows: Sequence[Row], draws: Draws, metric: Metric, *, best: bool) -> Entry:
-    """Mean over draws of a method, and how many answers are ok where not all are; its status without an answer."""
+    """Mean over a method's draws, or its status without an answer; with the count of ok answers where not all are."""
     entry = Entry.of(draws, rows[0]["status"] if rows else "-", best=best)
     good = sum(row["status"] == "ok" for row in rows)
-    doubt = metric is NAD and entry.summary is not None and good < len(rows)
-    return replace(entry, missing=f"{good} of {len(rows)} ok", doubted=True) if doubt else entry
+    doubted = metric is NAD and entry.summary is not None and good < len(rows)
+    return replace(entry, missing=f"{good} of {len(rows)} ok", doubted=True) if doubted else entry
 
 
 def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:
-    """Methods of a metric's rows: of hinges those that report them."""
+    """Methods in the rows of a metric; for HINGES, those that report hinges."""
     return methods_of([r for r in rows if metric is not HINGES or math.isfinite(r.get(HINGES.column) or math.nan)])
 
 
 def _one_unknown(rows: Sequence[Row], objects: Sequence[str]) -> str:
-    """Objects of which M leaves a single unknown, in a sentence."""
-    of = {row["object"]: row.get("group_names") for row in rows}
-    halves = [name for name in objects if (groups := of.get(name)) is not None and len(groups) == 2]
-    return f"{', '.join(halves)}: two masses, so one unknown where M is given" if halves else ""
+    """Note on the objects with two groups, whose total mass M leaves one unknown; empty without such objects."""
+    group_names = {row["object"]: row.get("group_names") for row in rows}
+    pairs = [name for name in objects if (groups := group_names.get(name)) is not None and len(groups) == 2]
+    return f"{', '.join(pairs)}: two masses, so one unknown where M is given" if pairs else ""
 
 
-def _counted(title: str, counts: Iterable[int], of: str) -> str:
-    """Title with the number of values behind a mean."""
-    some = sorted({count for count in counts if count})
-    words = " to ".join(dict.fromkeys(map(str, (*some[:1], *some[-1:]))))
-    return f"{title}; {words} {of}{'s' if some[-1] > 1 else ''}" if some else title
+def _counted(title: str, counts: Iterable[int], unit: str) -> str:
+    """Title with the range of the sample sizes of its means."""
+    sizes = sorted({count for count in counts if count})
+    words = " to ".join(dict.fromkeys(map(str, (*sizes[:1], *sizes[-1:]))))
+    return f"{title}; {words} {unit}{'s' if sizes[-1] > 1 else ''}" if sizes else title
 
 
 def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
-    """One metric under one support and sensing: methods down, mean and quantiles over objects across.
+    """Table of one metric under one support and sensing: methods down, mean and quantiles over objects across.
 
-    Means over draws and swept settings come first: points of one object are no sample.
+    Each object counts once, with its mean over draws and swept settings, which are no independent samples.
     """
     means = {method: object_means(rows, method, metric.column, metric.scale) for method in _methods_with(rows, metric)}
     best = significantly_best(means)
@@ -224,7 +224,7 @@ def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
 
 
 def object_means(rows: Sequence[Row], method: str | None, column: str, scale: float) -> dict[int, float]:
-    """Mean over draws and swept settings, by the object's place; NaN without an answer. None: of any method."""
+    """Mean over draws and swept settings by index of the object, NaN without an answer; over all methods for None."""
     values: dict[str, list[float]] = {row["object"]: [] for row in rows}
     for row in rows:
         if method in (None, row["method"]) and row[column] is not None:
@@ -233,10 +233,11 @@ def object_means(rows: Sequence[Row], method: str | None, column: str, scale: fl
 
 
 def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]:
-    good = [value for value in objects.values() if not np.isnan(value)]
-    rest = np.quantile(good, (0.1, 0.5, 0.9, 1.0)) if good else (np.nan,) * 4
-    first = replace(Entry.of(objects, best=best), missing=missing)
-    return first, *(Entry(number(float(value))) for value in rest)
+    """Mean, 10 %, 50 % and 90 % quantile and maximum over objects."""
+    known = [value for value in objects.values() if not np.isnan(value)]
+    quantiles = np.quantile(known, (0.1, 0.5, 0.9, 1.0)) if known else (np.nan,) * 4
+    mean = replace(Entry.of(objects, best=best), missing=missing)
+    return mean, *(Entry(number(float(value))) for value in quantiles)
 
 
 def by_setting(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
@@ -246,7 +247,7 @@ def by_setting(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
 
 
 def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Rows by support, sensing and point of a sweep, named by what differs among them."""
+    """Rows by support, sensing and point of a sweep; names list the settings that vary."""
     axes = axes_of(rows)
     fields = {axis: axis.rpartition(".")[2] for axis in axes}
     swept = [[f"{field} {_setting(row.get(axis))}" for axis, field in fields.items()] for row in rows]
@@ -260,9 +261,9 @@ def points_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
-    """Median NAD over objects: methods down, groups of rows across, and the paper's own figures.
+    """Table of the median NAD over objects: methods down, groups of rows across, and the paper's own values.
 
-    The best of the first group comes first; methods that answer all estimates come before those that do not.
+    Methods are sorted by their number of estimates without a NAD, then by their median in the first group.
 
     Args:
         groups: rows by the name of their support, sensing or point of a sweep.
@@ -293,7 +294,7 @@ def overview(groups: Mapping[str, Sequence[Row]]) -> Table:
 
 
 def _over_objects(rows: Sequence[Row], method: str) -> Entry:
-    """Median over objects of the mean NAD over draws, and how many answers are ok where not all are."""
+    """Median over objects of the mean NAD over draws; with the count of ok answers where not all are."""
     own = [row for row in rows if row["method"] == method]
     good = sum(row["status"] == "ok" for row in own)
     median = _median(object_means(rows, method, NAD.column, NAD.scale).values())
@@ -301,12 +302,12 @@ def _over_objects(rows: Sequence[Row], method: str) -> Entry:
 
 
 def percent(part: float) -> str:
-    """A part of one in whole percent."""
+    """Text of a fraction in whole percent."""
     return f"{100 * part:.0f} %"
 
 
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Median NAD at each value of a swept setting; of one in words a row per value, with error over claimed error."""
+    """Table of the median NAD by value of a swept setting; of a setting of words, values down with claims."""
     values = axis_values(rows, axis)
     if any(isinstance(value, str) for value in values):
         return _sources_table(rows, axis, title)
@@ -317,14 +318,14 @@ def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
 
 
 def _sources_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Values of a setting in words down, methods across: median NAD, and error over claimed error in brackets."""
+    """Table of a setting of words: values down, methods across; median NAD, error over claimed error in brackets."""
     methods, lines = methods_of(rows), []
     for value in axis_values(rows, axis):
         cells = []
         for method in methods:
-            of = [row for row in rows if row.get(axis) == value and row["method"] == method]
-            claims = Claims.of(of)
-            nad = _median(NAD.scale * row["nad"] for row in of if row["nad"] is not None)
+            own = [row for row in rows if row.get(axis) == value and row["method"] == method]
+            claims = Claims.of(own)
+            nad = _median(NAD.scale * row["nad"] for row in own if row["nad"] is not None)
             cells.append(replace(nad, text=nad.text + (f" ({claims.ratio:.1f})" if claims else "")))
         lines.append(((str(value),), tuple(cells)))
     return Table(title, tuple(methods), tuple(lines), note="in brackets: error over claimed error, root mean square")
@@ -336,9 +337,9 @@ def _median(values: Iterable[float]) -> Entry:
 
 
 def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
-    """One metric over many objects: a row per support, sensing, point of the sweep and method; quantiles over objects.
+    """Quantiles of one metric over objects: a row per support, sensing, point of the sweep and method.
 
-    The draws of an object count as their mean, so that every object weighs the same.
+    Each object counts once, with the mean over its draws.
     """
     axes = axes_of(results)
     estimates = [row for row in results if row["status"] != "infeasible"]
@@ -371,12 +372,12 @@ def _setting(value: object) -> str:
 
 
 def short(value: float) -> str:
-    """Two digits or so."""
+    """Text of a value with about two digits."""
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
 
 
 def hidden_table(results: Iterable[Row], objects: Sequence[str]) -> Table:
-    """Errors of the center of mass and of I_cm where groups rest on their own weight: mean size over the draws."""
+    """Table of the mean absolute errors of the center of mass and of I_cm over draws, under own weight."""
     own = select(results, support="own_weight", kind="hidden_states")
     rows = [row for row in own if row["status"] in ("ok", "unexplained", "not_converged")]
     methods = methods_of(rows)
@@ -401,15 +402,15 @@ CLAIMS = "Errors of the masses over those claimed"
 
 
 def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
-    """Errors against those claimed: a row per method; None where no method claims any."""
+    """Table of errors relative to claimed errors: a row per method; None where no method claims errors."""
     lines = []
     for method in methods_of(rows):
-        of = select(rows, method=method)
-        if (found := Claims.of(of)) is not None:
-            good = sum(row["status"] == "ok" for row in of)
-            misfit = [row["misfit"] for row in of if row.get("misfit") is not None]
-            counts = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(of)), percent(found.silent))
-            cells = (*counts, f"{np.median(misfit):.2g}" if misfit else "-")
+        own = select(rows, method=method)
+        if (found := Claims.of(own)) is not None:
+            good = sum(row["status"] == "ok" for row in own)
+            misfit = [row["misfit"] for row in own if row.get("misfit") is not None]
+            claims = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(own)), percent(found.silent))
+            cells = (*claims, f"{np.median(misfit):.2g}" if misfit else "-")
             lines.append(((method,), tuple(map(Entry, cells))))
     held = "intervals hold: an error without bound counts as held"
     note = f"{held}; silent: status ok, and a group off by over {SILENT:g} claimed errors"

@@ -1,4 +1,4 @@
-"""Tables on a terminal, by rich."""
+"""Tables on a terminal, drawn by rich."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ DOUBT = "?: some of these answers have a status other than ok"
 
 
 def rich_table(table: Table) -> ConsoleRenderable:
-    """A table for rich's console; columns for which it is too narrow go on in a further table below."""
+    """Table for rich's console; columns that do not fit continue in further tables below."""
     return _Fitted(table)
 
 
 def fits(table: Table, console: Console) -> bool:
-    """True if a console has room for all columns of a table side by side."""
+    """True if all columns of a table fit a console side by side."""
     return _has_room(console, _drawn(table), console.width)
 
 
 def _has_room(console: Console, drawn: RichTable, width: int) -> bool:
-    """True if a width in characters takes a whole table."""
+    """True if a table fits a width [characters]."""
     return console.measure(drawn, options=console.options.update(width=10_000)).maximum <= width
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A table that fits the console."""
+    """Table that is split by columns to fit the console."""
 
     table: Table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw as many columns side by side as there is room for, and the others below."""
+        """Draw as many columns side by side as fit, and the others below."""
         table, start, title = self.table, 0, self.table.title
         while start < len(table.columns) or start == 0:
             end = len(table.columns)
@@ -55,7 +55,7 @@ class _Fitted:
 
 
 def _drawn(table: Table) -> RichTable:
-    """A table with its texts as they stand; the row of the true masses stands apart."""
+    """rich's table with unwrapped texts; the row of the true masses has a section of its own."""
     drawn = RichTable(
         title=Text(table.title, "table.title"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
@@ -75,7 +75,7 @@ def _drawn(table: Table) -> RichTable:
 def _text(cell: Entry) -> Text:
     """Mean and spread "0.6±0.3" over the interval "[0.4 0.9]"; "-n" counts draws without an answer.
 
-    "*" marks the best, "?" answers of which some are not ok.
+    "*" marks the best method, "?" answers with a status other than ok.
     """
     text, summary = Text(cell.text), cell.summary
     if summary is None and cell.missing:

@@ -1,4 +1,4 @@
-"""Table of an object's trials: each action in words, how far a push's contact slid, and how far each hinge turned."""
+"""Table of an object's trials: the action, the distance that a push's contact slid, and the range of each hinge."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from viz.trials import TrialsView
 
 
 def trials_table(view: TrialsView) -> Table:
-    """A row per trial: its number, its action, and what moved."""
+    """One row per trial: number and action, distance of the contact [mm], and ranges of the joint angles [deg]."""
     pushed = any(action.pushes for action in view.actions)
     hinges = range(0 if view.shape.chain is None else len(view.shape.chain.hinges))
     columns = ["contact slid, mm"] * pushed + [f"hinge {hinge}, deg" for hinge in hinges]
@@ -18,9 +18,9 @@ def trials_table(view: TrialsView) -> Table:
         slid = ["-" if math.isnan(view.slid(number)) else f"{1e3 * view.slid(number):.1f}"] * pushed
         ranges = [_range(*view.joint_range(number, hinge)) for hinge in hinges]
         rows.append(((f"{number}: {action.describe(view.shape)}",), tuple(map(Entry, [*slid, *ranges]))))
-    said = ["contact slid: from where a push meets the object to where it last touched it"] * pushed
-    said += ["hinge: least and greatest joint angle"] * bool(hinges)
-    return Table(view.title, tuple(columns), tuple(rows), ("trial",), "; ".join(said))
+    notes = ["contact slid: distance from the first to the last contact point of a push"] * pushed
+    notes += ["hinge: least and greatest joint angle"] * bool(hinges)
+    return Table(view.title, tuple(columns), tuple(rows), ("trial",), "; ".join(notes))
 
 
 def _range(least: float, greatest: float) -> str:

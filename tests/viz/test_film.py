@@ -1,4 +1,4 @@
-"""Films: read back as drawn, in their time; a film that is cut leaves the file before it."""
+"""Films: read back as drawn, in their time."""
 
 from pathlib import Path
 
@@ -59,21 +59,6 @@ def test_a_png_and_a_picture_of_one_colour_are_exact(tmp_path):
     write_film([np.full((48, 64, 3), 200, dtype=np.uint8)] * 4, tmp_path / "film.gif", 10.0)
     with Image.open(tmp_path / "film.gif") as film:
         assert_allclose(np.asarray(film.convert("RGB")), 200, atol=4)
-
-
-@pytest.mark.parametrize("kind", ["mp4", "gif", "png"])
-def test_a_film_that_is_cut_leaves_the_file_before_it(tmp_path, kind):
-    path = tmp_path / f"film.{kind}"
-    path.write_text("the film before")
-
-    def cut():
-        yield from pictures(5)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_film(cut(), path, 25.0)
-    assert path.read_text() == "the film before"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.plan import Goal
 from estimators.posterior.estimator import posterior_of
 from estimators.testing.recorded import load_block
-from testbed.errors import HeftError
+from testbed.errors import InvalidValueError
 from testbed.objects.blocks import Cell, block_object, parse_layout
+from testbed.toml import InvalidFileError
 
 HEFT: Any = heft
 BLOCK = load_block("L2-own_weight")
@@ -71,7 +72,17 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "millimeters": (lambda: built(size=50), "size: got 50; allowed: 0.001 to 1 m"),
     "masses in grams": (lambda: built(mass=[400, 100, 300]), "mass: got 400; allowed: 0 to 100 kg"),
     "one mass for all": (lambda: built(mass=0.8), "mass: got 0.8; allowed: a list"),
-    "an object's name to show": (lambda: HEFT.show("L2"), "heft.load_object"),
+    "an object's name to show": (
+        lambda: HEFT.show("L2"), "what: got 'L2'; allowed: a results folder; heft.load_object"
+    ),
+    "a number to show": (
+        lambda: HEFT.show(3), "what: got 'int'; allowed: an ObjectModel, a Trajectory, an Estimate, a dict"
+    ),
+    "no estimates to show": (lambda: HEFT.show({}), "what: got 'dict'"),
+    "an estimate to show without its object": (
+        lambda: HEFT.show(HEFT.Estimate(OBJECT.truth, "ok")),
+        "obj: got 'NoneType'; allowed: the ObjectModel or ObjectShape of this Estimate",
+    ),
     "another object to show": (
         lambda: HEFT.show(replace(TRIALS[0], action=HEFT.Rotate(9)), OBJECT, file="/nowhere/x.rrd"), "obj: got 'L2'"
     ),
@@ -84,8 +95,8 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_typical_mistake_is_refused_by_its_name(name: str):
-    call, said = MISTAKES[name]
-    with pytest.raises(HeftError, match=f"(?s){said}"):
+    call, message = MISTAKES[name]
+    with pytest.raises((InvalidValueError, InvalidFileError), match=f"(?s){message}"):
         call()
 
 

@@ -1,1 +1,1 @@
-"""Shared parts of tests besides fakes: records, oracles, conformance of runners."""
+"""Shared parts of tests other than fakes: records, oracles, conformance of runners."""

@@ -1,4 +1,4 @@
-"""Trials of an object in the analytic world, their windows and estimates, and the distance of these from the truth."""
+"""Trials of an object in the analytic world, their windows and estimates, and the errors of the estimates."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def trials_of(obj: ObjectModel, **world: Any) -> list[Trajectory]:
 
 
 def windows_of(obj: ObjectModel, trials: Sequence[Trajectory], errors: ModelErrors | None = None) -> Observations:
-    """Windows of trials, some of them usable."""
+    """Windows of trials, at least one of which is usable."""
     windows = observe(obj.shape, trials, errors)
     assert windows is not None
     return windows
 
 
 def true_values(obj: ObjectModel) -> dict[str, Tensor]:
-    """True masses and frictions, by the names that forward models have for them."""
+    """True masses and frictions, by the names of the forward models' parameters."""
     return {"mass": torch.tensor(obj.truth.mass), "friction": torch.tensor(obj.truth.friction)}
 
 
@@ -47,32 +47,32 @@ def ask(obj: ObjectModel, trajectories: Sequence[Trajectory], method: Estimator 
 
 
 def found(answer: Estimate) -> MassDistribution:
-    """Masses and frictions of an estimate that has them."""
+    """Masses and frictions of an estimate with an answer."""
     assert answer.distribution is not None, answer.message
     return answer.distribution
 
 
 def claimed(answer: Estimate) -> Float[np.ndarray, "n_m"]:
-    """Standard errors of the masses that an estimate states, kg a particle."""
+    """Standard errors of the masses that an estimate states [kg per particle]."""
     assert answer.covariance is not None, answer.message
     return np.sqrt(np.diag(answer.covariance))
 
 
 def holds(answer: Estimate, masses: Sequence[float] | Float[np.ndarray, "n_m"], within: float = 0.0) -> bool:
-    """True if the masses of all groups lie between the least and the most that an estimate states, kg."""
+    """True if the masses of all groups [kg] lie within the bounds that an estimate states, widened by `within` [kg]."""
     low, high = ([answer.diagnostics[f"{end}_{g}_kg"] for g in range(len(masses))] for end in ("least", "most"))
     return bool(np.all(np.subtract(low, within) <= masses) and np.all(masses <= np.add(high, within)))
 
 
 def nad(obj: ObjectModel, answer: Estimate) -> float:
-    """NAD of an estimate that has masses."""
+    """NAD of an estimate with an answer."""
     return normalized_absolute_difference(obj.shape, found(answer), obj.truth)
 
 
 def shown_in_the_air(
     shape: ObjectShape, weight: float, trials: Sequence[Trajectory]
 ) -> tuple[Float[np.ndarray, "r n_m"], Float[np.ndarray, "r"]]:
-    """Equations of the masses that lifts alone show, by `Posterior.mass_equations`, their errors as stated."""
+    """Equations of the masses from lifts alone, by `Posterior.mass_equations`, with the stated errors."""
     lifts = lifts_among(shape, trials)
     measurements = [InAir.of(shape, trial, windows, weight) for trial, windows in lifts.items()]
     setup = SetupErrors.largest([trials[trial].setup for trial in lifts])

@@ -1,4 +1,4 @@
-"""Changes to files, as chance or a stranger makes them."""
+"""Random changes to files: of bytes, of plain data, of sealed content."""
 
 import json
 import tomllib
@@ -33,7 +33,7 @@ def turned(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def changed(value: Any, rng: np.random.Generator) -> Any:
-    """Plain data with an entry gone, or an extreme value."""
+    """Plain data with one entry removed or replaced by an extreme value."""
     if not isinstance(value, dict | list) or not value or rng.random() < 0.1:
         return EXTREME[rng.integers(len(EXTREME))]
     copy: Any = value.copy()
@@ -46,7 +46,7 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
 
 
 def restated(data: bytes, rng: np.random.Generator) -> bytes:
-    """A TOML file with an entry gone, or an extreme value."""
+    """Content of a TOML file with one entry removed or replaced by an extreme value."""
     return toml_text(changed(tomllib.loads(data.decode()), rng)).encode()
 
 

@@ -17,11 +17,11 @@ class Entity:
     """Content of one path."""
 
     static: dict[str, Any] = field(default_factory=dict)
-    """Value of each component that always holds."""
+    """Value of each static component."""
     times: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
-    """Times of each component, by timeline; s where they are durations."""
+    """Times of each component, by timeline; durations in s."""
     values: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
-    """Its value at each of them."""
+    """Values of each component at its times, by timeline."""
 
     def at_end(self, component: str, timeline: str = "iteration") -> Any:
         """The last value on a timeline."""
@@ -29,7 +29,7 @@ class Entity:
 
 
 def read_chunks(path: Path) -> dict[str, Entity]:
-    """Every entity of the recording, by its path without the leading stroke."""
+    """Every entity of the recording, by its path without the leading slash."""
     found: dict[str, Entity] = {}
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
@@ -50,8 +50,8 @@ def read_chunks(path: Path) -> dict[str, Entity]:
 
 
 def verify(path: Path) -> None:
-    """Raises where `rerun rrd verify` finds a fault."""
-    program = Path(rerun_cli.__file__).with_name("rerun")  # without the start of Python
+    """Check a recording by `rerun rrd verify`."""
+    program = Path(rerun_cli.__file__).with_name("rerun")  # the program itself, without a start of Python
     subprocess.run([program, "rrd", "verify", path], check=True, capture_output=True)
 
 

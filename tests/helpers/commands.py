@@ -18,6 +18,6 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """Message of a refused command, in one line; its exit code is 2."""
     capsys.readouterr()
     assert ended(*words) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("heft: ") and said.count("\n") == 1, said
-    return said
+    message = capsys.readouterr().err
+    assert message.startswith("heft: ") and message.count("\n") == 1, message
+    return message

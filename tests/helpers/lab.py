@@ -1,4 +1,4 @@
-"""Trials of an object in the analytic lab, and the object with its groups called otherwise."""
+"""Trials of an object in the analytic lab, and shapes with renumbered groups."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def lab_trials(obj, count=4, seed=3, pattern="corners"):
 
 
 def renamed(shape, order):
-    """The shape with its groups called otherwise: the new group g is the old order[g]."""
+    """Shape with renumbered groups: the new group g is the old group order[g]."""
     place = np.argsort(order)
     values = {
         name: getattr(shape, name) for name in ("particles", "friction_group", "cell", "height", "grasps", "fill")

@@ -1,6 +1,6 @@
-"""The time step of `estimators.baselines.lcp` by itself and as the textbook's problem, a solver of that, and rollouts.
+"""The time step of `estimators.baselines.lcp` alone and as the textbook's problem, a solver of the latter, rollouts.
 
-Unknown are the impulse beta_ik along each corner d_k of each contact's friction polygon and its sliding speed lambda_i:
+Unknowns: the impulse beta_ik along each corner d_k of each contact's friction polygon, and its sliding speed lambda_i:
 z = [beta; lambda] >= 0, w = matrix z + offset >= 0, z . w = 0 (Anitescu and Potra 1997; Cline 2002).
 """
 
@@ -37,7 +37,7 @@ class Textbook:
     inverse: Float[np.ndarray, "3 3"]
     """M^-1."""
     free: Float[np.ndarray, "3"]
-    """Velocity that the step would end with without friction, m/s and rad/s."""
+    """Velocity after the step without friction [m/s, rad/s]."""
     jacobians: Float[np.ndarray, "C 2 3"]
     """J_i, from the body's velocity to the contact's."""
 
@@ -87,14 +87,14 @@ class Textbook:
 
 
 def interior_point(problem: Textbook, tolerance: float = 1e-10) -> Float[np.ndarray, "n"]:
-    """z by Mehrotra's predictor and corrector, one dense LU of the n x n Newton matrix an iteration.
+    """Solution z by Mehrotra's predictor and corrector, with one dense LU of the n x n Newton matrix per iteration.
 
     Args:
-        problem: the step.
-        tolerance: of z . w and of |w - matrix z - offset|, as a part of where it starts.
+        problem: step.
+        tolerance: of z . w relative to its start, and of |w - matrix z - offset| relative to the offset.
 
     Raises:
-        RuntimeError: it does not end.
+        RuntimeError: no convergence in MOST_ITERATIONS.
     """
     matrix, offset = problem.matrix, problem.offset
     impulses = problem.columns.shape[1]
@@ -146,7 +146,7 @@ def explicit_rollout(
     grasp: Float[Tensor, "... 2"],
     dt: float,
 ) -> tuple[Float[Tensor, "... T 3"], Float[Tensor, "... T 3"]]:
-    """Open loop over T wrenches: poses and velocities after each step. Friction is mu_i N_i at each step, N."""
+    """Poses and velocities after each of T wrenches in open loop; friction is mu_i N_i at each step [N]."""
 
     def advance(t: int, pose: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         a = acceleration(model, inertia, friction[..., t, :], pose, velocity, wrench[..., t, :], grasp)
@@ -158,7 +158,7 @@ def explicit_rollout(
 def _open_loop(
     count: int, pose: Tensor, velocity: Tensor, advance: Callable[[int, Tensor, Tensor], tuple[Tensor, Tensor]]
 ) -> tuple[Tensor, Tensor]:
-    """Poses and velocities after each of some steps."""
+    """Poses and velocities after each of `count` steps."""
     poses, velocities = [], []
     for t in range(count):
         pose, velocity = advance(t, pose, velocity)

@@ -1,4 +1,4 @@
-"""Rows of results, as an estimate leaves them."""
+"""Rows of results, as estimates leave them."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ KNOWN = ("I1", "I2", "L1", "L2", "F1", "F2", "hammer")
 
 
 def row(method: str, seed: int, nad: float | None, name: str = "L2", **more: object) -> dict:
-    """One estimate; an object that is not known has the masses of L2."""
+    """Row of one estimate; an unknown object has the masses of L2."""
     model = load_object(name if name in KNOWN else "L2")
     mass = np.array(model.group_mass)
     columns = {

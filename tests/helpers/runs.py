@@ -1,4 +1,4 @@
-"""A small sweep that is killed at some moment, and what must hold afterwards."""
+"""A small sweep that is killed at a random moment, and the checks of its files afterwards."""
 
 import json
 import os
@@ -62,20 +62,20 @@ class Killing:
 
     victim: Victim
     files: int
-    """Trials and estimates that are there by then."""
+    """Number of finished trials and estimates to wait for."""
     delay_s: float
-    """After that."""
+    """Time from then to the killing [s]."""
     which: int
-    """Number of the worker."""
+    """Index of the killed worker, modulo the number of workers."""
 
 
 def draw_killing(rng: np.random.Generator, victim: Victim, most: int) -> Killing:
-    """Some moment of a sweep that leaves `most` trials and estimates."""
+    """Random moment of a sweep of `most` trials and estimates."""
     return Killing(victim, int(rng.integers(0, most)), float(rng.uniform(0, 0.5)), int(rng.integers(2)))
 
 
 def done_in(out: Path) -> int:
-    """Trials and estimates that are done."""
+    """Number of finished trials and estimates."""
     return len([*out.glob("trials/*/trial.json"), *out.glob("estimates/*/result.json")])
 
 
@@ -98,7 +98,7 @@ def workers_of(parent: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """True if a process is there and no zombie."""
+    """True if a process exists and is no zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -106,10 +106,10 @@ def alive(pid: int) -> bool:
 
 
 def kill_a_run(scenario: Path, out: Path, killing: Killing, workers: int = 2) -> str:
-    """Start a run and kill: what happened, in a line.
+    """Start a run and kill a process of it; returns a line about its end.
 
     Raises:
-        AssertionError: a worker outlives its driver, a driver does not survive its worker, or a file is half written.
+        AssertionError: a worker outlives its driver, a driver does not survive its worker, or a file is incomplete.
     """
     run = f"from tests.helpers.runs import *; resumed(Path({str(scenario)!r}), Path({str(out)!r}), {workers})"
     command = [sys.executable, "-c", run]
@@ -141,7 +141,7 @@ def kill_a_run(scenario: Path, out: Path, killing: Killing, workers: int = 2) ->
 
 
 def assert_whole(out: Path) -> None:
-    """Every file that means something can be read."""
+    """Check that every finished file can be read."""
     for path in out.rglob("*.json"):
         json.loads(path.read_text(encoding="utf-8"))
     for path in out.glob("trials/*/trajectory.parquet"):

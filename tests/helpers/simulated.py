@@ -1,4 +1,4 @@
-"""Simulated trials: clean records, computed once in a process, and ones in a results folder as a run leaves them."""
+"""Simulated trials: clean records, computed once per process, and trials in a results folder, as a run leaves them."""
 
 from functools import cache
 from pathlib import Path
@@ -10,7 +10,7 @@ from testbed import OWN_WEIGHT, Action, SimulationRunner, SimulationSettings, Su
 
 @cache
 def clean(name: str, action: Action) -> Trajectory:
-    """Record of an object's trial by a perfect sensor; `name` is in the library, or a path."""
+    """Record of an object's trial by a perfect sensor; `name` is of the library, or a path."""
     return SimulationRunner().run_clean(Trial(load_object(name), action))
 
 

@@ -1,4 +1,4 @@
-"""Rerun's viewer without a window, and what it shows."""
+"""Rerun's viewer without a window, and pictures of it."""
 
 import base64
 import io
@@ -33,7 +33,7 @@ needs_browser = pytest.mark.skipif(shutil.which("chromium") is None, reason="no 
 
 @contextmanager
 def viewer(path: Path | None, home: Path, port: int | None = None) -> Iterator[ViewerClient]:
-    """The native viewer with a recording open, or with none, its home elsewhere."""
+    """The native viewer with a recording open, or without one, and `home` as its home directory."""
     port = port or free_port()
     opened = [] if path is None else [str(path)]
     command = [*program(), *opened, "--headless", "--bind", HOST, "--port", str(port), "--window-size", "1600x1000"]
@@ -54,22 +54,22 @@ def _connected(process: subprocess.Popen[bytes], port: int, *, empty: bool) -> V
             state = client.get_state()
             if empty or (state.recordings and not state.loading and state.views):
                 return client
-        except Exception:  # it does not answer yet, and says so in many ways
+        except Exception:  # it does not answer yet; the errors are of many types
             pass
         time.sleep(0.1)
     raise AssertionError(f"the viewer did not show the recording; it ended with {process.poll()}")
 
 
 def picture(client: ViewerClient) -> np.ndarray:
-    """Picture of the window, (H, W, 3), when two looks agree that it is drawn."""
-    seen = np.zeros(0)
+    """Picture of the window, (H, W, 3), once two consecutive screenshots agree."""
+    last = np.zeros(0)
     for _ in range(40):
         time.sleep(0.25)
         now = np.asarray(Image.open(io.BytesIO(client.take_screenshot())).convert("RGB")).astype(int)
-        if seen.shape == now.shape and np.abs(now - seen).mean() < 0.5 and not is_blank(now):
+        if last.shape == now.shape and np.abs(now - last).mean() < 0.5 and not is_blank(now):
             return now
-        seen = now
-    return seen
+        last = now
+    return last
 
 
 def is_blank(pixels: np.ndarray) -> bool:
@@ -79,16 +79,16 @@ def is_blank(pixels: np.ndarray) -> bool:
 
 
 def has_color(pixels: np.ndarray, color: tuple[int, int, int], least: int = 30, within: int = 24) -> bool:
-    """True if at least so many pixels are about of a color."""
+    """True if at least `least` pixels differ from a color by less than `within` in every channel."""
     return int((np.abs(pixels - np.array(color)).max(axis=-1) < within).sum()) >= least
 
 
 @contextmanager
 def browser(address: str, folder: Path) -> Iterator[Callable[[], np.ndarray]]:
-    """A browser without a window that has a page open; called, what it shows now, (H, W, 3).
+    """A headless browser with a page open; yields a function that returns the current picture, (H, W, 3).
 
-    It is asked over its debugging port: a picture that a browser takes by itself comes too early on a busy machine. Its
-    log of connections is in net.json.
+    The picture comes over the debugging port: the browser's own screenshot comes too early on a busy machine. The log
+    of connections is net.json.
     """
     profile = folder / "profile"
     command = ["chromium", "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -97,29 +97,29 @@ def browser(address: str, folder: Path) -> Iterator[Callable[[], np.ndarray]]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         with connect(_debugged(profile / "DevToolsActivePort"), max_size=None) as page:
-            asked = itertools.count(1)
+            numbers = itertools.count(1)
 
             def look() -> np.ndarray:
-                mine = next(asked)
-                page.send(json.dumps({"id": mine, "method": "Page.captureScreenshot"}))
-                while (said := json.loads(page.recv(timeout=60))).get("id") != mine:
+                number = next(numbers)
+                page.send(json.dumps({"id": number, "method": "Page.captureScreenshot"}))
+                while (reply := json.loads(page.recv(timeout=60))).get("id") != number:
                     pass
-                png = base64.b64decode(said["result"]["data"])
+                png = base64.b64decode(reply["result"]["data"])
                 return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
             yield look
     finally:
-        process.terminate()  # not killed: its log is whole only then
+        process.terminate()  # not killed, so that its log is complete
         process.wait(30)
 
 
-def _debugged(told: Path) -> str:
+def _debugged(port_file: Path) -> str:
     """Debugging address of the only page of a browser that has just been started."""
     until = time.monotonic() + 60
     while time.monotonic() < until:
         time.sleep(0.2)
         try:
-            port = told.read_text(encoding="utf-8").split()[0]
+            port = port_file.read_text(encoding="utf-8").split()[0]
             with urlopen(f"http://{HOST}:{port}/json", timeout=10) as reply:
                 pages = [target for target in json.load(reply) if target["type"] == "page"]
         except (OSError, IndexError, ValueError):  # it does not listen yet

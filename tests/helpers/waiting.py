@@ -1,13 +1,13 @@
-"""Waiting for what other threads and processes do."""
+"""Waiting for other threads and processes."""
 
 import time
 from collections.abc import Callable
 
 
-def until(true: Callable[[], object], seconds: float = 5.0) -> bool:
-    """True if it comes true within `seconds`; a busy machine is slow."""
+def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
+    """True if a condition becomes true within `seconds`."""
     end = time.monotonic() + seconds
-    while not true():
+    while not condition():
         if time.monotonic() > end:
             return False
         time.sleep(0.01)

@@ -171,7 +171,7 @@ def test_an_ignored_signal_stays_ignored():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
 def test_a_server_that_is_ended_leaves_nothing_running(tmp_path, monkeypatch, end):
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # nobody is there
     port, recording = viewers.free_port(), tmp_path / "page.rrd"

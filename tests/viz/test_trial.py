@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from estimators.testing.analytic_world import drawn_object
 from scenarios.results.files import write_json
-from scenarios.views.pages import page_of, trial_page
+from scenarios.views.pages import page_of, page_of_trial, trial_page
 from scenarios.views.values import POSES_EVERY, friction_of, trial_view, wrench_fit
 from testbed import HeftError, InvalidValueError, Push, Rotate, Slide, Weigh, draw_sensing, load_object, preset
 from testbed.frames import rotation_2d
@@ -144,7 +144,7 @@ def test_a_push_is_drawn_with_its_fingertip(tmp_path):
     key = put_trial(tmp_path, "L2", push)
     write_json(tmp_path / "manifest.json", {"scenario": {"sensing": ["ideal"]}})
     pushed = trial_view(tmp_path, key)
-    entities = logged(page_of(tmp_path, key), tmp_path / "push.rrd")
+    entities = logged(page_of_trial(pushed, key), tmp_path / "push.rrd")
     (path,) = (name for name in entities if name.endswith("scene/fingertip"))
     place = values(entities, path, "Points3D:positions")
     trajectory = pushed.trajectory
@@ -185,7 +185,7 @@ def test_a_trial_of_a_robot_is_drawn_from_its_files(copy, turn_key):
     view = trial_view(copy, turn_key)
     assert (view.truth, view.feet, view.model) == (None, None, "")
     assert (view.trajectory.wrench_on_object_world == measured.wrench_on_object_world).all()
-    assert "trial/wrench/force/x/measured" in logged(page_of(copy, turn_key), copy / "x.rrd")
+    assert "trial/wrench/force/x/measured" in logged(page_of_trial(view, turn_key), copy / "x.rrd")
 
 
 def test_frictions_within_a_group_of_the_estimator_are_averaged():

@@ -120,11 +120,11 @@ REFUSED_CALLS: list[tuple[Callable[[], object], str, str]] = [
     (partial(replace, TRIAL, object="L2"), "Trial.object", ""),
     (partial(replace, TRIAL, support="rigid"), "Trial.support", ""),
     *(
-        (partial(parse_support, bad), "support", 'allowed: "own_weight", "rigid", or a stiffness')
+        (partial(parse_support, bad), "support", 'allowed: "own_weight", "rigid", or a stiffness')  # pyright: ignore[reportArgumentType]
         for bad in (None, [1], "air", -1, 10**400)
     ),
     *(
-        (partial(Push.into, faces(SHAPE)[2], bad), "Push.into.part", "0 to 1, from one end of the face")
+        (partial(Push.into, faces(SHAPE)[2], bad), "Push.into.part", "0 to 1, from one end of the face")  # pyright: ignore[reportArgumentType]
         for bad in (-0.1, 1.5, "middle")
     ),
     (partial(Push(MIDDLE, OUTWARDS).face, SHAPE), "Push.direction", "of the normal into the face"),
@@ -132,7 +132,7 @@ REFUSED_CALLS: list[tuple[Callable[[], object], str, str]] = [
     (partial(Push((9.0, 9.0), 0.0).face, SHAPE), "Push.point", "a point of the outline"),
     (partial(Weigh().tool_path, SHAPE, np.zeros(3), 0.01), "action", "an action that moves the object"),
     *(
-        (partial(action_from_dict, data), field, allowed)
+        (partial(action_from_dict, data), field, allowed)  # pyright: ignore[reportArgumentType]
         for data, field, allowed in (
             ({"kind": "roll"}, "action.kind", KINDS),
             ({}, "action.kind", KINDS),

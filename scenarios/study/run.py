@@ -152,7 +152,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
 
 
 def _asked_again(field: str, held: Any, asked: Any) -> bool:
-    """True if a field includes all that the results hold: objects, methods, seeds and swept values may be added."""
+    """True if a field includes all that the results hold: objects, methods, seeds and points may be added."""
     if field == "seeds":
         return held <= asked
     if field == "objects":  # the same files lie elsewhere in another checkout
@@ -162,8 +162,8 @@ def _asked_again(field: str, held: Any, asked: Any) -> bool:
     if field == "methods":
         return all(asked.get(label) == settings for label, settings in held.items())
     if field == "sweep":
-        axes = asked["axes"]
-        return held["axes"].keys() == axes.keys() and all(_asked_again("", held["axes"][a], axes[a]) for a in axes)
+        points = Sweep.model_construct(**asked).points()
+        return held == asked or all(point in points for point in Sweep.model_construct(**held).points())
     return held == asked or (isinstance(held, list) and all(item in asked for item in held))
 
 

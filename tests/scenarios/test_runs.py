@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from scenarios.config import Scenario, load_scenario
+from scenarios.config import Scenario, Sweep, load_scenario
 from scenarios.execution.executor import InlineExecutor
 from scenarios.results.files import LOCK, STAGES, FolderInUseError, errors_left, exclusive, read_json, write_json
 from scenarios.results.store import Store
@@ -156,6 +156,34 @@ def test_a_folder_of_another_run_is_not_written_over(finished, change: dict[str,
     with pytest.raises(InvalidValueError, match=rf"results of another run \({field}\)") as refused:
         run_scenario(asked, finished.out, 0, quiet)
     assert refused.value.field == "--out"
+
+
+AXES = {"grid.feet": [2, 3], "grid.particles": [3, 4]}
+TURNED = {"grid.feet": [2, 3], "grid.particles": [4, 3]}
+
+
+@pytest.mark.parametrize(
+    ("held", "asked", "kept"),
+    [
+        (Sweep(axes=AXES), Sweep(axes=TURNED), True),
+        (Sweep(axes=AXES), Sweep(axes=AXES | {"grid.feet": [1, 2, 3]}), True),
+        (Sweep(axes=AXES), Sweep(mode="zip", axes=AXES), False),
+        (Sweep(mode="zip", axes=AXES), Sweep(axes=AXES), True),
+        (Sweep(mode="zip", axes=AXES), Sweep(mode="zip", axes=TURNED), False),
+        (
+            Sweep(mode="zip", axes=AXES),
+            Sweep(mode="zip", axes={name: [1, *values] for name, values in AXES.items()}),
+            True,
+        ),
+    ],
+    ids=["turned grid", "larger grid", "zip of a grid", "grid of a zip", "turned zip", "longer zip"],
+)
+def test_no_point_of_a_sweep_is_lost(tmp_path, held: Sweep, asked: Sweep, kept: bool):
+    blocks = load_scenario("blocks")[1]
+    tmp_path.joinpath("results.parquet").touch()
+    write_json(tmp_path / "manifest.json", manifest(blocks.model_copy(update={"sweep": held}), "secret"))
+    with nullcontext() if kept else pytest.raises(InvalidValueError, match=r"results of another run \(sweep\)"):
+        check_nothing_lost(tmp_path, blocks.model_copy(update={"sweep": asked}))
 
 
 def test_results_of_object_files_go_on_in_another_checkout(tmp_path):

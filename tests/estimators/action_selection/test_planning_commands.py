@@ -16,12 +16,15 @@ from estimators.identifiability.information import SUPPORTS
 from scenarios.cli.main import main
 from scenarios.cli.plan import plan_view
 from scenarios.cli.terminal import percent, seconds
-from scenarios.config import Policy
+from scenarios.config import Policy, Scenario
 from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results
+from scenarios.results.files import write_json
 from scenarios.runners import FeasibilityCheck
+from scenarios.study.run import manifest
 from testbed import Accelerate, InvalidValueError, Push, Rotate, SimulationSettings, Slide, load_object, preset
 from tests.helpers.chunks import logged, read_chunks
+from tests.helpers.commands import refusal
 from viz.recordings.plan import plan_page
 from viz.values import ActionArrow
 
@@ -151,6 +154,14 @@ def test_after_one_trial_masses_have_wide_errors_and_what_is_open_is_named(tmp_p
     expected, true = (float(number) for number in re.findall(r"expected NAD ([\d.]+) %, .* truth ([\d.]+) %", said)[0])
     assert true < 2 * expected and expected > 20
     assert "±" in said and "not known: the combination" in said
+
+
+@pytest.mark.parametrize(("obj", "secret", "other"), [("L2", "of a run", "secret"), ("F2", "touch/0", "objects")])
+def test_touch_writes_over_no_other_results(tmp_path, capsys, obj, secret, other):
+    (tmp_path / "results.parquet").touch()
+    write_json(tmp_path / "manifest.json", manifest(Scenario(objects=[obj], sensing=["ft300s"], seeds=1), secret))
+    said = refusal(capsys, "touch", "L2", "--out", str(tmp_path))
+    assert said.startswith("heft: --out: ") and f"results of another run ({other})" in said
 
 
 def weighed_policy(policy: Policy) -> ActionPolicy:

@@ -205,7 +205,8 @@ class Policy(BaseModel):
         """Number of trials of an experiment where nothing fails, the weighing among them."""
         ranked = self.rank_driven
         planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
-        return 1 + planned + (self.lifts_last or 0) + (self.held_out if self.grips else 0)
+        last = self.lifts_last or ((self.pushes or 0) if ranked else 0)
+        return 1 + planned + last + (self.held_out if self.grips else 0)
 
     @property
     def support_in_plan(self) -> str:

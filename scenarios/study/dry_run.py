@@ -64,7 +64,7 @@ class DryRun:
         has_links = lru_cache(maxsize=None)(lambda path: load_object(path).shape.chain is not None)
         objects = {name for _, point in points for name in point.all_objects()}
         experiments = trials = estimates = 0
-        seconds, unknown, counted = 0.0, dict[str, None](), set[str]()
+        seconds, unknown, counted = 0.0, dict[str, None](), set[tuple[str, str]]()
         for _, point in points:
             pairs = len(point.all_objects()) * len(point.support)
             linked = sum(map(has_links, point.objects))
@@ -73,22 +73,26 @@ class DryRun:
             unknown |= {label: None for label, kind in kinds.items() if kind not in METHODS}
             stated = not point.world.build().none
             draw_s = sum(JUDGED_S + ESTIMATE_S.get(kind, OTHER_S)[stated] for kind in kinds.values() if kind in METHODS)
-            here = pairs * len(point.own_draws())
-            experiments += here
+            experiments += pairs * len(point.own_draws())
             estimates += pairs * draws * len(point.methods)
             seconds += (pairs + (LINKED - 1) * linked * len(point.support)) * draws * draw_s
-            if (fields := _fields_of_trials(point)) not in counted:
-                counted.add(fields)
-                trials += here * point.policy.expected_trials
-                seconds += here * point.policy.expected_trials * TRIAL_S
-                if point.policy.kind == "online":
-                    seconds += here * point.policy.touches * DECISION_S
+            fields, drawn = (
+                _fields_of_trials(point),
+                [f"{each!r} {name}" for each in point.random for name in each.names()],
+            )
+            new = {(fields, name) for name in (*point.objects, *drawn)} - counted
+            counted |= new
+            made = len(new) * len(point.support) * len(point.own_draws())
+            trials += made * point.policy.expected_trials
+            seconds += made * point.policy.expected_trials * TRIAL_S
+            if point.policy.kind == "online":
+                seconds += made * point.policy.touches * DECISION_S
         return DryRun(len(objects), len(points), experiments, trials, estimates, seconds, tuple(unknown))
 
 
 def _fields_of_trials(point: Scenario) -> str:
-    """Fields of a scenario that determine its trials, as text; points of the same text share their trials."""
-    fields = point.model_dump(mode="json", exclude={"methods", "sweep"})
+    """Fields of a scenario that determine an object's trials, as text; points of the same text share its trials."""
+    fields = point.model_dump(mode="json", exclude={"methods", "sweep", "objects", "random"})
     if not point.truth.friction_spread:
         fields["truth"].pop("seed")
     if point.world.build().none:

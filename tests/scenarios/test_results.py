@@ -314,6 +314,7 @@ def test_a_dry_run_and_the_progress_count_the_objects_of_each_point(tmp_path):
     scenario = Scenario(objects=["I1"], sweep=Sweep(axes=axes))
     size, totals = DryRun.of(scenario), []
     assert (size.objects, size.experiments, size.estimates) == (3, 4, 4)
+    assert size.trials == 3 * DryRun.of(Scenario(objects=["I1"])).trials
     experiments_of(scenario, Store(tmp_path), lambda stage, done, total, failed=0: totals.append((done, total)))
     assert totals == [(done, 4) for done in (1, 2, 3, 4)]
 

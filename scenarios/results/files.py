@@ -34,6 +34,7 @@ _MANIFEST = {
     "finished": bool,
 }
 _SCENARIO = {"objects": list, "sensing": list, "methods": dict}
+_EXPECTED = {"trials": int, "estimates": int}
 STAGES = {"trials": "trial.json", "estimates": "result.json"}
 """File that marks a trial, or an estimate, as done, by the name of their folder."""
 SHOWN, MOST_KEYS = 8, 6
@@ -116,8 +117,8 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / "manifest.json"
     found = read_json(path) or {}
-    for kinds in (_MANIFEST, _SCENARIO):
-        table = found if kinds is _MANIFEST else found.get("scenario") or {}
+    for place, kinds in (("", _MANIFEST), ("scenario", _SCENARIO), ("expected", _EXPECTED)):
+        table = (found.get(place) or {}) if place else found
         for name, kind in kinds.items():
             if not isinstance(table.get(name), kind | None):
                 raise DamagedFileError(f"{path}: not of this version of heft: {name} is a {type(table[name]).__name__}")

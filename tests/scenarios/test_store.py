@@ -360,7 +360,8 @@ def test_content_of_another_kind_is_read_or_refused(finished, copied):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("scenario", 3), ("expected", []), ("scenario", {"sensing": 1}), ("name", {})]
+    ("field", "value"),
+    [("scenario", 3), ("expected", []), ("scenario", {"sensing": 1}), ("expected", {"trials": "many"}), ("name", {})],
 )
 def test_a_manifest_of_another_kind_is_refused(tmp_path, field, value):
     write_json(tmp_path / "manifest.json", {field: value})

@@ -47,9 +47,14 @@ def write_film(pictures: Iterable[Picture], path: Path, fps: float) -> None:
         pictures: iterable, consumed one by one.
         path: file.
         fps: pictures per second; a GIF rounds their times to 10 ms.
+
+    Raises:
+        InvalidValueError: no pictures.
     """
-    write = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}[path.suffix.lower()]
-    write_whole(path, lambda part: write(pictures, part, fps))
+    write, rest = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}[path.suffix.lower()], iter(pictures)
+    if (first := next(rest, None)) is None:
+        raise InvalidValueError("pictures", "none", "at least one picture")
+    write_whole(path, lambda part: write(chain([first], rest), part, fps))
 
 
 def captioned(picture: Picture, text: str) -> Picture:

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from testbed.errors import InvalidValueError
-from viz.film import captioned, check_film, write_film
+from viz.film import KINDS, captioned, check_film, write_film
 
 SIZE = (64, 48)
 EDGES = [2 * i for i in range(20)]
@@ -78,6 +78,13 @@ def test_impossible_films_are_refused(name, width, height, fps, field):
     with pytest.raises(InvalidValueError, match=f"^{field}: got"):
         check_film(Path(name), width, height, fps)
     check_film(Path("film.GIF"), 64, 48, 25.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_film_without_pictures_is_refused(tmp_path, kind):
+    with pytest.raises(InvalidValueError, match=r"^pictures: got"):
+        write_film(iter([]), tmp_path / f"film{kind}", 25.0)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_caption_stands_in_the_lower_left_corner():

@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from tests.helpers.viewer_windows import browser, has_color, is_blank, needs_bro
 from tests.helpers.waiting import until
 from viz.recordings import viewer as viewers
 from viz.recordings.page import save
-from viz.recordings.viewer import served
+from viz.recordings.viewer import ViewerError, served
 from viz.style import AXIS_COLORS, NORMAL_FORCE, rgb
 
 
@@ -221,6 +222,21 @@ def test_a_port_is_free_and_of_the_web_page(tmp_path, capsys):
 def test_the_reason_why_a_viewer_ended_is_one_line(output, part):
     assert part in viewers.reason(output)
     assert "\n" not in viewers.reason(output)
+
+
+@pytest.mark.parametrize("platform", ["linux", "darwin"])
+def test_only_linux_is_asked_to_end_the_viewer(monkeypatch, tmp_path, platform):
+    given: dict[str, Any] = {}
+
+    def start(*_: object, **options: Any) -> None:
+        given.update(options)
+        raise ViewerError("not started")
+
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(subprocess, "Popen", start)
+    with pytest.raises(ViewerError, match="not started"), served(tmp_path):
+        pass
+    assert (given["preexec_fn"] is not None) == (platform == "linux")
 
 
 def test_the_viewer_sends_no_usage_data(monkeypatch):

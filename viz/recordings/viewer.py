@@ -174,7 +174,8 @@ def _rerun(source: int) -> Iterator[None]:
     """Run Rerun's own server of the viewer's files at a port during the block."""
     command = [*program(), "--serve-web", "--bind", HOST, "--port", str(free_port()), "--web-viewer-port", str(source)]
     quiet = subprocess.DEVNULL
-    process = subprocess.Popen(command, env=environment(), stdout=quiet, stderr=quiet, preexec_fn=_end_with_heft)  # noqa: PLW1509  prctl alone
+    before = _end_with_heft if sys.platform == "linux" else None
+    process = subprocess.Popen(command, env=environment(), stdout=quiet, stderr=quiet, preexec_fn=before)  # noqa: PLW1509  prctl alone
     try:
         _wait_for_answer(process, f"http://{HOST}:{source}/")
         yield

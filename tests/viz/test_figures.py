@@ -22,7 +22,7 @@ from testbed import InvalidValueError, MassDistribution, load_object
 from viz import EstimateView, WrenchFit, estimate_bars
 from viz.figures.loss import estimate_losses
 from viz.figures.maps import MeanAnswer, estimate_maps, map_scales, mass_maps, save_figure
-from viz.figures.nad import axis_label, nad_distribution, nad_sweep
+from viz.figures.nad import MANY, axis_label, nad_distribution, nad_sweep
 from viz.figures.wrench import wrench_fit_figure
 from viz.style import DIFFERENCE_COLORS, MASS_COLORS, series_color, text_color
 
@@ -165,6 +165,9 @@ def test_nad_against_a_setting_alone():
         assert_allclose(np.asarray(line.get_xdata(), dtype=float), [0.1, 0.2, 0.4])
         assert_allclose(np.asarray(line.get_ydata(), dtype=float), 100 * base * 1.01 * np.array([1, 2, 4]))
     check_units(nad_distribution(rows))
+    for count in (MANY, MANY + 1):
+        (points,) = nad_distribution([rows[0]] * count).axes[0].collections[:1]
+        assert (points.get_alpha() < 0.5) == points.get_rasterized() == (count > MANY)
     for name, unit in {"support": ", N/m", "simulation.grip_N": ", N", "policy.duration": ", s", "feet": ""}.items():
         assert axis_label(f"axis.{name}") == f"{name}{unit}"
 

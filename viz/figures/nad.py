@@ -24,7 +24,7 @@ UNITS = {"support": "N/m", "duration": "s", "pivot_error": "m"}
 SUFFIXES = {"_kg": "kg", "_N": "N", "_m": "m", "_s": "s"}
 """Units by the suffix of a setting's name."""
 MANY = 400
-"""Largest number of points of a method that are not rasterized."""
+"""Largest number of points of a method that are neither faint nor rasterized."""
 
 
 @mpl.rc_context(STYLE)
@@ -44,7 +44,7 @@ def nad_distribution(rows: Sequence[Row]) -> Figure:
         if len(values) == 0:
             continue
         heights = place + rng.uniform(-0.22, 0.22, len(values))
-        alpha, as_pixels = 0.55 if len(values) < MANY else 0.15, len(values) > MANY
+        alpha, as_pixels = (0.15, True) if len(values) > MANY else (0.55, False)
         axis.scatter(values, heights, s=9, color=PALETTE[0], alpha=alpha, linewidth=0, rasterized=as_pixels)
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
         axis.hlines(place, low, high, color="0.2", linewidth=9, alpha=0.25, zorder=3)

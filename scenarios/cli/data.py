@@ -34,8 +34,8 @@ def import_(
 
     MAPPING is a TOML file that names the columns, their units and the actions; docs/own_logs.md has an example. All
     errors are listed at once, and nothing is written if there are any. Importing a log, or a stretch of it, again
-    replaces its earlier trial of that object. Exit code: 1 if a trial is unusable or contradicts its action, or if
-    --find cannot read a log.
+    replaces its earlier trial of that object; one of another object stays, and is named. Exit code: 1 if a trial is
+    unusable or contradicts its action, or if --find cannot read a log.
 
     Examples: heft import lab.toml turn_1.csv turn_2.csv --weight 1.8
               heft import lab.toml                 (the logs that its [[logs]] name)
@@ -164,6 +164,11 @@ def _summary(log: ImportedLog, unused: str) -> str:
             f"\n        trials/{key} is of another file of this name, and counts too: if it is the same recording, "
             "delete that folder"
             for key in log.alike
+        )
+        + "".join(
+            f"\n        trials/{key} is of the same stretch, but of the object {name}, and counts for it: if {name} is "
+            "the wrong object, delete that folder"
+            for key, name in log.of_others.items()
         )
     )
 

@@ -47,6 +47,8 @@ class ImportedLog:
     """Keys of the removed earlier trials of the same stretch."""
     alike: list[str] = field(default_factory=list)
     """Keys of earlier trials of the stretch in other files of the same name, which stay."""
+    of_others: dict[str, str] = field(default_factory=dict)
+    """Name of the other object of each earlier trial of the same stretch, which stays, by the trial's key."""
 
 
 def import_logs(
@@ -162,20 +164,24 @@ def _put(store: Store, trial: Trial, trajectory: Trajectory, origin: dict[str, A
 
 
 def _remove_earlier(store: Store, imported: Sequence[ImportedLog]) -> None:
-    """Remove earlier trials of the imported stretches; note those of other files of the same names in `alike`."""
+    """Remove earlier trials of the imported stretches; note those of other files or objects, which stay."""
     keys = {log.key for log in imported}
     for place, known in stored(store.root, "trials", "left as it is"):
         earlier = (known or {}).get("asked", {}).get("import", {})
         if known is None or not earlier or place.name in keys:
             continue
         name, checksum = known["names"]["object"], earlier["sha256"]
-        same = [log for log in imported if log.object.name == name and _overlap(log.source, earlier)]
+        over = [log for log in imported if _overlap(log.source, earlier)]
+        same = [log for log in over if log.object.name == name]
         if of_log := [log for log in same if log.source["sha256"] == checksum]:
             shutil.rmtree(place)
             of_log[0].replaced.append(place.name)
         for log in same if not of_log else ():
             if log.source["log"] == earlier["log"]:
                 log.alike.append(place.name)
+        for log in over if not same else ():
+            if log.source["sha256"] == checksum:
+                log.of_others[place.name] = name
 
 
 def _overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from estimators.testing.recorded import load_block
+from scenarios.cli.main import main
 from scenarios.results.logs import ImportedLog, import_logs
 from scenarios.results.trials import measured_trials
 from testbed import Rotate
@@ -71,6 +72,15 @@ def test_another_part_of_a_file_replaces_nothing(lab: Path):
     (again,) = imports(lab, [episode(0)])
     assert not again.replaced and again.alike == [first.key]
     assert kept(lab) == {first.key, later.key, again.key}
+
+
+def test_the_same_stretch_of_another_object_is_named_and_stays(lab: Path, capsys: pytest.CaptureFixture[str]):
+    (first,) = imports(lab, [episode(0)])
+    (lab / "other.toml").write_text('name = "other"\n[blocks]\nlayout = ["1", "1", "1", "111"]\n', encoding="utf-8")
+    (second,) = imports(lab, [episode(0)], object="other.toml")
+    assert second.of_others == {first.key: "L2"} and not second.replaced and kept(lab) == {first.key, second.key}
+    main(["import", str(lab / "lab.toml"), "--out", str(lab / "out")])
+    assert f"trials/{first.key} is of the same stretch, but of the object L2" in capsys.readouterr().out
 
 
 def test_a_stretch_is_recognized():

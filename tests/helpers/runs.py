@@ -17,7 +17,6 @@ from scenarios import load_scenario, run_scenario
 from testbed.trajectory import load_trajectory
 
 Victim = Literal["worker", "driver", "both"]
-VICTIMS: tuple[Victim, ...] = ("worker", "driver", "both")
 OBJECT = """
 name = "pair"
 [blocks]
@@ -67,11 +66,6 @@ class Killing:
     """Time from then to the killing [s]."""
     which: int
     """Index of the killed worker, modulo the number of workers."""
-
-
-def draw_killing(rng: np.random.Generator, victim: Victim, most: int) -> Killing:
-    """Random moment of a sweep of `most` trials and estimates."""
-    return Killing(victim, int(rng.integers(0, most)), float(rng.uniform(0, 0.5)), int(rng.integers(2)))
 
 
 def done_in(out: Path) -> int:

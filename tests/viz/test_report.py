@@ -22,6 +22,7 @@ from viz.figures.loss import normalised
 from viz.report.report import inline_svg, mapped_objects, middle_object
 from viz.report.tables import (
     HINGES,
+    SHORTER_MPDS,
     hidden_table,
     metric_table,
     metrics_of,
@@ -293,7 +294,9 @@ def test_the_scenario_reads_back_from_the_report():
 def test_methods_that_know_no_hinges_have_no_row_of_them():
     rows = [row("hidden_states", seed, 0.01, hinge_error=0.02) for seed in range(3)]
     rows += [row("least_squares", seed, 0.03, hinge_error=float("nan")) for seed in range(3)]
-    assert metrics_of(rows) == [NAD_METRIC, HINGES]
+    assert metrics_of(rows) == [NAD_METRIC, HINGES, *SHORTER_MPDS]
+    unpredicted = {metric.column: None for metric in SHORTER_MPDS}
+    assert metrics_of([each | unpredicted for each in rows]) == [NAD_METRIC, HINGES]
     for table in (metric_table(rows, HINGES, ""), over_objects(rows, HINGES, "")):
         assert [labels for labels, _ in table.rows] == [("hidden_states",)]
     assert len(metric_table(rows, NAD_METRIC, "").rows) > 1

@@ -78,10 +78,9 @@ INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
 
 
 def metrics_of(rows: Sequence[Row]) -> list[Metric]:
-    """Metrics with a value in some row; for objects with hinges, NAD and the friction of the hinges."""
-    if any(math.isfinite(row.get(HINGES.column) or math.nan) for row in rows):
-        return [NAD, HINGES]
-    return [metric for metric in METRICS if any(row.get(metric.column) is not None for row in rows)]
+    """Metrics with a value in some row; the friction of hinges comes after NAD."""
+    known = lambda metric: (value for row in rows if (value := row.get(metric.column)) is not None)  # noqa: E731
+    return [metric for metric in (NAD, HINGES, *METRICS[1:]) if any(map(math.isfinite, known(metric)))]
 
 
 def number(value: float, like: float | None = None) -> str:

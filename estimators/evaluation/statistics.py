@@ -114,26 +114,28 @@ class Claims:
     """Errors of the masses relative to the errors that their answers claim."""
 
     ratio: float
-    """Root mean square of error over claimed error."""
+    """Root mean square of error over claimed error; errors without bound are left out."""
     held: float
-    """Part of the 90 % intervals that hold the true mass; an error without bound counts as held."""
+    """Part of the 90 % intervals that hold the true mass; errors without bound are left out."""
     silent: float
     """Part of the answers with status ok and a group off by more than SILENT claimed errors."""
 
     @staticmethod
     def of(rows: Iterable[Row]) -> Claims | None:
-        """Claims of the answers in `rows`; None without an answer that claims errors of known masses."""
+        """Claims of the answers in `rows`; None without an answer that claims a finite error of a known mass."""
         needed = "mass_kg", "mass_error_kg", "true_mass_kg"
-        claimed = [row for row in rows if all(row.get(name) is not None for name in needed)]
-        if not claimed:
-            return None
-        each = []
-        for row in claimed:
+        each, silent = [], []
+        for row in rows:
+            if any(row.get(name) is None for name in needed):
+                continue
             error = np.array(row["mass_error_kg"], dtype=float)  # None for a mass that is not observed
-            error = np.where(np.isfinite(error), np.maximum(error, 1e-12), np.inf)
-            each.append(np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"])) / error)
+            if (finite := np.isfinite(error)).any():
+                wrong = np.abs(np.subtract(row["mass_kg"], row["true_mass_kg"]))
+                each.append(wrong[finite] / np.maximum(error[finite], 1e-12))
+                silent.append(row["status"] == "ok" and each[-1].max() > SILENT)
+        if not each:
+            return None
         off = np.concatenate(each)
-        silent = [row["status"] == "ok" and one.max() > SILENT for row, one in zip(claimed, each, strict=True)]
         return Claims(float(np.sqrt(np.mean(off**2))), float(np.mean(off < NINETY)), float(np.mean(silent)))
 
 

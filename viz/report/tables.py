@@ -411,7 +411,6 @@ def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
             claims = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(own)), percent(found.silent))
             cells = (*claims, f"{np.median(misfit):.2g}" if misfit else "-")
             lines.append(((method,), tuple(map(Entry, cells))))
-    held = "intervals hold: an error without bound counts as held"
-    note = f"{held}; silent: status ok, and a group off by over {SILENT:g} claimed errors"
+    note = f"errors without bound are left out; silent: status ok, and a group off by over {SILENT:g} claimed errors"
     columns = ("error / claimed", "90 % intervals hold", "status ok", "silent", "misfit")
     return Table(title, columns, tuple(lines), note=note) if lines else None

@@ -378,7 +378,9 @@ def test_claims_are_errors_over_claimed_ones_and_an_answer_is_silent_where_ok_an
     assert Claims.of(rows[3:]) is None
     assert Claims.of([row("a", 0, 0.1, mass_kg=None, true_mass_kg=[0.1], mass_error_kg=[0.1])]) is None
     unseen = Claims.of([row("a", 0, 0.1, mass_kg=[0.2, 0.1], true_mass_kg=[0.1, 0.2], mass_error_kg=[None, 0.1])])
-    assert unseen is not None and unseen.held == 1 and unseen.ratio == pytest.approx(0.5**0.5)
+    assert unseen is not None and unseen.held == 1 and unseen.ratio == pytest.approx(1)
+    for error in ([None] * 3, [np.inf] * 3):
+        assert Claims.of([row("a", 0, 0.1, true_mass_kg=true, mass_error_kg=error)]) is None
     table = claims_table(rows)
     assert table is not None and claims_table(rows[3:]) is None
     ((labels, cells),) = table.rows

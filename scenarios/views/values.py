@@ -81,12 +81,18 @@ def trial_view(folder: Path, key: str, *, seed: int = 0, meshes: bool = True) ->
 
 def _row_with(folder: Path, key: str, sensing: str, seed: int) -> Row | None:
     """Row of an estimate from a trial, preferably of this sensor and draw; None without such a row or any table."""
-    if not (folder / TABLE).is_file():
+    if not (table := folder / TABLE).is_file():
         return None
-    frame = unless_damaged(lambda: load_results(folder), "an example draw is shown")
-    rows = [] if frame is None else rows_of(frame.reindex(columns=["trial_keys", "sensing", "seed"]))
+    rows = _draws(folder, table.stat().st_mtime_ns)
     own = [row for row in rows if row["trial_keys"] is not None and key in row["trial_keys"]]
     return min(own, key=lambda row: (row["sensing"] != sensing, row["seed"] != seed), default=None)
+
+
+@lru_cache(maxsize=1)
+def _draws(folder: Path, _written_ns: int) -> list[dict[str, Any]]:
+    """Trials, sensor and draw of each row of the table, cached until it is written again; none where it is damaged."""
+    frame = unless_damaged(lambda: load_results(folder), "an example draw is shown")
+    return [] if frame is None else rows_of(frame.reindex(columns=["trial_keys", "sensing", "seed"]))
 
 
 def recorded_view(

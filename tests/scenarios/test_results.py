@@ -25,6 +25,7 @@ from scenarios.results.trials import keys_of, kind_of_trial, trials_behind
 from scenarios.study.dry_run import DryRun, show_dry_run
 from scenarios.study.estimates import EstimateTask, judge
 from scenarios.study.experiment import experiments_of
+from scenarios.views import values
 from scenarios.views.values import trial_view
 from testbed import GRAVITY, InvalidValueError, ObjectModel, Trajectory, load_object
 from tests.helpers.commands import ended, refusal
@@ -133,6 +134,16 @@ def test_a_trial_is_viewed_as_a_method_was_given_it(copied):
     assert view.facts["sensing"] == "ft300s, draw 1"
     (copied / "results.parquet").unlink()
     assert trial_view(copied, key, meshes=False).facts["sensing"] == "ft300s, an example draw"
+
+
+def test_views_of_trials_read_the_table_once_until_it_is_written_again(copied, monkeypatch):
+    key, read = load_rows(copied)[0]["trial_keys"][1], []
+    monkeypatch.setattr(values, "load_results", lambda folder: read.append(folder) or load_results(folder))
+    for times in (1, 2):
+        for _ in range(2):
+            trial_view(copied, key, meshes=False)
+        assert len(read) == times
+        write_rows(copied, rows_of(load_results(copied)))
 
 
 def weighed(obj: ObjectModel) -> Trajectory:

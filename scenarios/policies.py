@@ -200,12 +200,15 @@ class Policy(BaseModel):
         """True if each draw of the sensor's errors has its own trials, chosen at random or by its wrenches."""
         return self.redraw or self.kind == "online"
 
-    @property
-    def expected_trials(self) -> int:
-        """Number of trials of an experiment where nothing fails, the weighing among them."""
+    def expected_trials(self, *, stands_in_groups: bool = True) -> int:
+        """Number of trials of an experiment where nothing fails, the weighing among them.
+
+        Args:
+            stands_in_groups: as `ObjectShape.stands_in_groups`; other objects are not pushed after turns.
+        """
         ranked = self.rank_driven
         planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
-        last = self.lifts_last or ((self.pushes or 0) if ranked else 0)
+        last = self.lifts_last or ((self.pushes or 0) if ranked and stands_in_groups else 0)
         return 1 + planned + last + (self.held_out if self.grips else 0)
 
     @property

@@ -89,7 +89,7 @@ class Cell:
     @property
     def expected_trials(self) -> int:
         """Number of trials of all its problems, weighings included, if none is refused."""
-        return KINDS[self.kind].policy.expected_trials * self.count
+        return KINDS[self.kind].policy.expected_trials() * self.count
 
     def scenario(self, store: Store) -> Scenario:
         """Scenario of its trials; the object files of its shapes are written to the store."""

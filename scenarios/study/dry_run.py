@@ -61,13 +61,13 @@ class DryRun:
     def of(scenario: Scenario) -> DryRun:
         """The size of a scenario's run, counted at each point of the sweep."""
         points = scenario.points()
-        has_links = lru_cache(maxsize=None)(lambda path: load_object(path).shape.chain is not None)
+        shape_of = lru_cache(maxsize=None)(lambda path: load_object(path).shape)
         objects = {name for _, point in points for name in point.all_objects()}
         experiments = trials = estimates = 0
         seconds, unknown, counted = 0.0, dict[str, None](), set[tuple[str, str]]()
         for _, point in points:
             pairs = len(point.all_objects()) * len(point.support)
-            linked = sum(map(has_links, point.objects))
+            linked = sum(shape_of(path).chain is not None for path in point.objects)
             draws = sum(point.draws(sensing) for sensing in point.sensing)
             kinds = {label: kind_of(label, settings) for label, settings in point.methods.items()}
             unknown |= {label: None for label, kind in kinds.items() if kind not in METHODS}
@@ -76,17 +76,16 @@ class DryRun:
             experiments += pairs * len(point.own_draws())
             estimates += pairs * draws * len(point.methods)
             seconds += (pairs + (LINKED - 1) * linked * len(point.support)) * draws * draw_s
-            fields, drawn = (
-                _fields_of_trials(point),
-                [f"{each!r} {name}" for each in point.random for name in each.names()],
-            )
-            new = {(fields, name) for name in (*point.objects, *drawn)} - counted
+            fields, runs = _fields_of_trials(point), len(point.support) * len(point.own_draws())
+            stands = {path: shape_of(path).stands_in_groups for path in point.objects}
+            stands |= {f"{each!r} {name}": each.feet_m is None for each in point.random for name in each.names()}
+            new = {(fields, name) for name in stands} - counted
             counted |= new
-            made = len(new) * len(point.support) * len(point.own_draws())
-            trials += made * point.policy.expected_trials
-            seconds += made * point.policy.expected_trials * TRIAL_S
+            made = runs * sum(point.policy.expected_trials(stands_in_groups=stands[name]) for _, name in new)
+            trials += made
+            seconds += made * TRIAL_S
             if point.policy.kind == "online":
-                seconds += made * point.policy.touches * DECISION_S
+                seconds += runs * len(new) * point.policy.touches * DECISION_S
         return DryRun(len(objects), len(points), experiments, trials, estimates, seconds, tuple(unknown))
 
 

@@ -182,10 +182,10 @@ def test_a_scenario_builds_its_policy():
     )
     assert ours == default == RankDriven(6, grasps=(0, 1))
     assert published == RankDriven(1, accelerated=3, grasps=(0, 1), back=False, beside=False)
-    assert Policy(kind="published", accelerated=4, pivots=2).expected_trials == 1 + 4 + 2 + 2
+    assert Policy(kind="published", accelerated=4, pivots=2).expected_trials() == 1 + 4 + 2 + 2
     batch = Policy(kind="batch", touches=2, until=0.05, candidates=200)
     chosen = weighed_policy(batch)
-    assert isinstance(chosen, PlannedPolicy) and chosen.guess.weight == 1.801 and batch.expected_trials == 1 + 2 + 2
+    assert isinstance(chosen, PlannedPolicy) and chosen.guess.weight == 1.801 and batch.expected_trials() == 1 + 2 + 2
     actions = chosen.plan(L2.shape).actions
     assert 1 <= len(actions) <= 2 and {a.grasp for a in actions if isinstance(a, Rotate)} <= {2, 3, 4}
     with pytest.raises(ValidationError, match="one of ideal"):

@@ -156,11 +156,12 @@ def test_a_scenario_asks_for_lifts():
     assert Policy(kind="stop_and_go").build((0, 1), L2, settings) == StopAndGo(2, (0, 1))
     ours = Policy(lifts=1).build((0, 1), L2, settings)
     assert ours == StopAndGo(1, (0, 1), Policy().build((0, 1), L2, settings))
-    assert Policy(lifts=3).expected_trials == Policy().expected_trials + 3
-    assert Policy(pushes=10).expected_trials == Policy().expected_trials + 10
-    assert Policy(pushes=10, lifts=3).expected_trials == Policy(lifts=3).expected_trials
-    assert Policy(kind="greedy", pushes=10).expected_trials == Policy(kind="greedy").expected_trials
-    assert Policy(kind="stop_and_go", held_out=0).expected_trials == 3
+    assert Policy(lifts=3).expected_trials() == Policy().expected_trials() + 3
+    assert Policy(pushes=10).expected_trials() == Policy().expected_trials() + 10
+    assert Policy(pushes=10).expected_trials(stands_in_groups=False) == Policy().expected_trials()
+    assert Policy(pushes=10, lifts=3).expected_trials() == Policy(lifts=3).expected_trials()
+    assert Policy(kind="greedy", pushes=10).expected_trials() == Policy(kind="greedy").expected_trials()
+    assert Policy(kind="stop_and_go", held_out=0).expected_trials() == 3
     for kind in ("greedy", "package:Class"):
         with pytest.raises(ValueError, match="lifts"):
             Policy(kind=kind, lifts=1)

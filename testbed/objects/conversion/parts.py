@@ -71,17 +71,24 @@ def labelled(surface: Surface, path: Path) -> Surface:
     in which the points span what the mesh does.
 
     Raises:
-        InvalidValueError: no such file, no labels, or points of another object.
+        InvalidValueError: no such file, no whole PLY, no labels, or points of another object.
     """
     if not path.is_file():
         raise InvalidValueError("parts", str(path), WAYS)
-    cloud = trimesh.load(path)
-    data = cloud.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    try:
+        cloud = trimesh.load(path)
+    except Exception as error:  # a parser may raise anything
+        raise InvalidValueError("parts", path.name, f"a PLY of points with x, y and z; {error!r}") from None
+    vertex = cloud.metadata.get("_ply_raw", {}).get("vertex", {})
+    data = vertex.get("data")
     names = () if data is None else data if isinstance(data, dict) else data.dtype.names  # of text, of binary files
     name = next((name for name in names if name.lower() in LABELS), None)
     if data is None or name is None:
         raise InvalidValueError("parts", path.name, "a PLY with a property segmentation, label, class or part")
     points = np.column_stack([data[axis] for axis in "xyz"]).astype(float)
+    if len(points) != vertex["length"]:
+        allowed = f"{vertex['length']} points, as its head says"
+        raise InvalidValueError("parts", f"{path.name} of {len(points)} points", allowed)
     span, wanted = np.ptp(points, axis=0).max(), np.ptp(surface.points, axis=0).max()
     scale = next((s for s in UNITS.values() if 0.8 < span * s / wanted < 1.25), None)
     if scale is None:

@@ -91,6 +91,25 @@ def test_a_file_or_a_word_that_makes_no_object_is_refused(mesh, scale: float, ca
         call(saved(mesh, tmp_path / "m.ply", scale))
 
 
+HEAD_OF_CLOUD = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+Z, LABEL = "property float z\n", "property uchar label\nend_header\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("solid", "points.ply'; allowed: a PLY of points .*Not a ply file"),
+        (HEAD_OF_CLOUD + LABEL + "0 0 1\n1 0 1\n0 1 2\n", "points.ply'; allowed: a PLY of points with x, y and z"),
+        (HEAD_OF_CLOUD + Z + LABEL + "0 0 0 1\n", "points.ply of 1 points'; allowed: 3 points, as its head says"),
+    ],
+)
+def test_a_file_that_is_no_whole_cloud_is_refused(content: str, message: str, tmp_path: Path):
+    cloud = tmp_path / "points.ply"
+    cloud.write_text(content)
+    with pytest.raises(InvalidValueError, match=f"parts: got '{message}"):
+        convert_mesh(saved(BAR, tmp_path / "bar.stl"), parts=str(cloud))
+
+
 def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
     """A GLB file with another JSON part."""
     end = 20 + struct.unpack_from("<I", glb, 12)[0]

@@ -16,7 +16,7 @@ from scenarios.config import Meshes, Scenario
 from scenarios.results.store import key_of
 from scenarios.study.experiment import Progress
 from testbed.errors import InvalidValueError, nearest
-from testbed.objects.conversion.convert import Converted, convert_mesh, write_object
+from testbed.objects.conversion.convert import Converted, convert_mesh, object_name, write_object
 
 LIGHTEST = 0.1
 """Least density of a part, relative to the mean density of the object: rubber beside steel."""
@@ -39,7 +39,7 @@ def with_meshes(scenario: Scenario, data: Path | None, folder: Path, progress: P
         if data is not None:
             raise InvalidValueError("--data", str(data), "none: the objects of this scenario need no data")
         return scenario, []
-    files = {} if data is None else {_name(file): file for file in sorted(data.glob(meshes.files))}
+    files = {} if data is None else {object_name(file): file for file in sorted(data.glob(meshes.files))}
     if not files:
         allowed = f"a folder with files {meshes.files}: {meshes.source}"
         raise InvalidValueError("--data", data and str(data), allowed)
@@ -76,12 +76,6 @@ def _object_file(file: Path, name: str, meshes: Meshes, folder: Path) -> tuple[P
         raise InvalidValueError("mass_kg", None, f"a mass in [meshes], or a file {meshes.notes} beside", file=file)
     write_object(made, path.parent, masses, meshes.friction)
     return path, other + f"{name}: {path}: {'; '.join([*made.notes, *filter(None, [fit])])}"
-
-
-def _name(file: Path) -> str:
-    """Name of a mesh: its file's, or its folder's where that is "mesh"."""
-    stem = file.parent.name if file.stem.lower() == "mesh" else file.stem
-    return re.sub(r"[^\w.-]+", "_", stem)[:64]
 
 
 def part_masses(made: Converted, truth: InertialParameters) -> tuple[tuple[float, ...], str]:

@@ -22,6 +22,7 @@ from testbed.objects.grasps import GraspPlace
 from testbed.objects.meshes import Part, joined, mesh_object
 from testbed.objects.model import ObjectModel
 from testbed.toml import toml_text
+from testbed.validation import check_kilograms, check_positive
 
 CELLS = 150
 """Approximate number of cells of an object."""
@@ -73,8 +74,10 @@ class Converted:
         Raises:
             InvalidValueError: neither one mass nor one per part, or one that is not positive.
         """
-        if not (len(given) in (0, 1, len(self.parts)) and all(0 < mass < 100 for mass in given)):
-            allowed = f"one mass > 0 and < 100 kg in all, or {len(self.parts)}, one per part from left to right"
+        for mass in given:
+            check_kilograms("mass", mass)
+        if len(given) not in (0, 1, len(self.parts)):
+            allowed = f"one mass in all, or {len(self.parts)}, one per part from left to right, kg"
             raise InvalidValueError("mass", list(given), allowed)
         if len(given) != 1:
             return tuple(given)
@@ -105,8 +108,10 @@ def convert_mesh(
         center_of_mass: center of mass that decides the stable poses, m, axes of the file; of one density if left out.
 
     Raises:
-        InvalidValueError: no mesh, no such pose or parts, or a cell too large for a part.
+        InvalidValueError: no mesh, no such pose or parts, or a cell that is not > 0 or too large for a part.
     """
+    if cell is not None:
+        check_positive("cell", cell)
     surface = read_surface(path, unit)
     notes = list(surface.notes)
     if parts.endswith(".ply"):
@@ -138,9 +143,13 @@ def convert_mesh(
     places, refused = propose_grasps(whole, joined(meshes), as_mesh(whole).center_mass[:2], most_grasps)
     if not places:
         notes.append(f"no grasp: {refused or 'no two faces across from each other'}")
+    return Converted(object_name(path, name), meshes, pose, tuple(places), cell, tuple(notes))
+
+
+def object_name(path: Path, name: str | None = None) -> str:
+    """Name of an object, in letters of a file name: as given, or the file's, or its folder's where that is "mesh"."""
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem
-    clean = re.sub(r"[^\w.-]+", "_", name or stem)[:64] or "object"
-    return Converted(clean, meshes, pose, tuple(places), cell, tuple(notes))
+    return re.sub(r"[^\w.-]+", "_", name or stem).lstrip(".")[:64] or "object"
 
 
 def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), friction: float = 0.5) -> Path:

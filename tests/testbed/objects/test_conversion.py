@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 
 from scenarios.cli.main import main
 from testbed import InvalidValueError, load_object
-from testbed.objects.conversion.convert import convert_mesh, write_object
+from testbed.objects.conversion.convert import convert_mesh, object_name, write_object
 from testbed.objects.conversion.parts import cut, labelled
 from testbed.objects.conversion.pose import contact_points, stable_poses
 from testbed.objects.conversion.surface import as_mesh, read_surface
@@ -82,6 +82,8 @@ SHEET, LARGE_SHEET = (trimesh.Trimesh([[0, 0, 0], [a, 0, 0], [0, a, 0]], [[0, 1,
         (together(mallet(), LARGE_SHEET), 1.0, read_surface, r"of which \d+ % of the surface encloses nothing"),
         (SHEET, 1.0, read_surface, "encloses a volume"),
         (BAR, 1.0, partial(convert_mesh, down="²"), "down: got '²'"),
+        *((BAR, 1.0, partial(convert_mesh, cell=cell), "cell: .*a finite number > 0") for cell in (0.0, np.nan)),
+        (BAR, 1.0, lambda path: convert_mesh(path, most_grasps=0).masses(("0.3",)), "mass: got '0.3'"),
         *((BAR, 1.0, partial(cut_file, how=how), "clusters:2 to") for how in ("clusters:1", "clusters:²")),
         *((BAR, 1.0, partial(cut_file, how=how), "planes as") for how in ("0", "99", "1.5", "color")),
     ],
@@ -108,6 +110,10 @@ def test_a_file_that_is_no_whole_cloud_is_refused(content: str, message: str, tm
     cloud.write_text(content)
     with pytest.raises(InvalidValueError, match=f"parts: got '{message}"):
         convert_mesh(saved(BAR, tmp_path / "bar.stl"), parts=str(cloud))
+
+
+def test_a_name_of_dots_is_no_name_of_a_file():
+    assert [object_name(Path("a/mesh.ply"), name) for name in (None, "..", ".b c")] == ["a", "object", "b_c"]
 
 
 def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:

@@ -166,7 +166,7 @@ def write_object(made: Converted, folder: Path, masses: Sequence[float] = (), fr
     mesh = {"cell_m": made.cell, "friction": friction, "contacts_m": np.round(made.pose.contacts, 6).tolist()}
     rows.append(toml_text({"name": made.name, "mesh": mesh}))
     for index, (part, file) in enumerate(zip(made.part_names, files, strict=True)):
-        table = {"name": part, "file": file, "mass_kg": round(given[index], 6) if given else None}
+        table = {"name": part, "file": file, "mass_kg": given[index] if given else None}
         rows.append(f"[[mesh.parts]]\n{toml_text(table)}")
     for place in made.grasps:
         table = {"name": place.name, "at_m": list(place.at), "closing_deg": round(float(np.degrees(place.closing)), 1)}

@@ -116,6 +116,11 @@ def test_a_name_of_dots_is_no_name_of_a_file():
     assert [object_name(Path("a/mesh.ply"), name) for name in (None, "..", ".b c")] == ["a", "object", "b_c"]
 
 
+def test_light_parts_are_written_with_their_masses(tmp_path: Path):
+    made = convert_mesh(saved(BAR, tmp_path / "bar.stl"), parts="3", cell=0.01, most_grasps=0)
+    assert_allclose(load_object(write_object(made, tmp_path, (1e-6,))).group_mass, 1e-6 / 3)
+
+
 def with_tree(glb: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
     """A GLB file with another JSON part."""
     end = 20 + struct.unpack_from("<I", glb, 12)[0]

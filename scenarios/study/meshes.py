@@ -112,7 +112,7 @@ def stated_inertia(text: str, path: Path) -> InertialParameters:
 
     def numbers(name: str, count: int) -> Float[np.ndarray, "n"]:
         found = re.search(rf"\b{name}:(.*?)(?=\n\s*[A-Z]|\Z)", text, re.DOTALL)
-        values = re.findall(r"[-+]?\d[\d.]*(?:[eE][-+]?\d+)?", found[1]) if found else []
+        values = re.findall(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", found[1]) if found else []
         if len(values) != count:
             raise InvalidValueError(name, f"{len(values)} numbers", f"{count} numbers, kg and m", file=path)
         return np.array([float(value) for value in values])

@@ -17,7 +17,7 @@ from scenarios.results.estimates import load_results
 from scenarios.results.store import Store
 from scenarios.study.dry_run import show_dry_run
 from scenarios.study.experiment import experiments_of
-from scenarios.study.meshes import with_meshes
+from scenarios.study.meshes import stated_inertia, with_meshes
 from scenarios.study.run import _asked_again
 from testbed import HeftError, InfeasibleTrialError, Push, load_object
 from tests.helpers.commands import ended, refusal
@@ -69,6 +69,13 @@ def test_parts_have_the_masses_that_make_the_whole(data: Path, tmp_path: Path):
     before = Path(path).stat().st_mtime_ns
     again, _ = with_meshes(scenario, data, tmp_path / "out", quiet)
     assert again.objects == [path] and Path(path).stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("written", ["0.5", ".5", "+5.E-1"])
+def test_a_stated_number_needs_no_leading_zero(written: str):
+    notes = f"MASS: {written}\nCOM_WRT_MESH: [0, -.1, 0.]\nINERTIA_WRT_COM: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]"
+    found = stated_inertia(notes, Path("Inertia.yaml"))
+    assert found.mass == 0.5 and found.center_of_mass.tolist() == [0.0, -0.1, 0.0]
 
 
 def test_a_dry_run_on_meshes_writes_nothing(data: Path, monkeypatch: pytest.MonkeyPatch, capsys):

@@ -98,7 +98,7 @@ def _beyond_a_bench(value: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
         for index, inner in enumerate(value):
             yield from _beyond_a_bench(inner, (*path, str(index)))
     elif isinstance(value, int | float) and path:
-        unit = next(name for name in reversed(path) if not name.isdecimal()).rpartition("_")[2]
+        unit = next((name for name in reversed(path) if not name.isdecimal()), "").rpartition("_")[2]
         if abs(value) > MOST_OF.get(unit, math.inf):
             most = f"at most {MOST_OF[unit]:g} {unit}; is it of another unit?"
             yield f"{'.'.join(path)}: got {value:g} {unit}; allowed: {most}"

@@ -100,6 +100,7 @@ def test_an_option_of_a_swept_field_is_refused(axis, values, option, value):
         ("\x00", "cannot be read as TOML"),
         ("[a]\n[a]", "cannot be read as TOML"),
         ("seed = 2", r"seed: no such field; got 2 \(nearest: seeds\)"),
+        ("7 = 1.0", r"7: no such field; got 1\.0"),
         ("[policy]\nseeds = 2", r"policy\.seeds: no such field; got 2 \(nearest: seed\)"),
         ("[grid]\nfeets = 2", r"grid\.feets: no such field; got 2 \(nearest: feet\)"),
         ('[[random]]\nname = "a"\nmass = 2', r"random\.0\.mass: no such field; got 2 \(nearest: mass_kg\)"),

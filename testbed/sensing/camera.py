@@ -206,6 +206,9 @@ def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
     """
     if camera.is_exact:
         return true
+    stated = camera.position, camera.angle, camera.delay_std
+    if len(true.time_s) == 0:
+        return PoseStream(true.time_s, true.poses, *stated)
     rng = np.random.default_rng((seed, 1))
     least, most = camera.delay
     late = rng.uniform(least, most)
@@ -216,4 +219,4 @@ def draw_camera(true: PoseStream, camera: Camera, seed: int) -> PoseStream:
     noise = np.array([camera.position, camera.position, camera.angle]) * rng.standard_normal((len(at), true.parts, 3))
     found = poses.reshape(noise.shape) + noise
     found[rng.random(len(at)) < camera.dropout] = math.nan
-    return PoseStream(at + late - (least + most) / 2, found, camera.position, camera.angle, camera.delay_std)
+    return PoseStream(at + late - (least + most) / 2, found, *stated)

@@ -59,10 +59,10 @@ def frame_mismatch(record: Trajectory, shape: ObjectShape) -> str:
     than stated. No single trial shows a constant shift along the face, or a yaw within `APART`.
 
     Args:
-        record: compensated record; without poses of a camera, the message is empty.
+        record: compensated record; without poses of a camera, or without motion, the message is empty.
         shape: geometry of the object.
     """
-    if record.camera is None or not record.action.on_table:
+    if record.camera is None or not record.action.on_table or not _moving(record).any():
         return ""
     check = _of_push if record.action.pushes else _of_held
     return check(record, shape, record.camera) or _scatter(record, record.camera)

@@ -77,6 +77,14 @@ def test_a_turn_shows_another_scale_of_the_camera(scale, said):
     assert re.search(said, frame_mismatch(replace(trial, camera=camera), shape))
 
 
+def test_a_record_without_motion_or_frames_is_no_mismatch():
+    shape, none = load_object("L2").shape, PoseStream(np.zeros(0), np.zeros((0, 1, 3)))
+    for camera in (PoseStream(TIME, moved(TIME)[:, :1]), none):
+        assert not frame_mismatch(record(400, tare=400, camera=camera, action=Rotate(0)), shape)
+    drawn = draw_camera(none, CAMERAS["30hz"], 0)
+    assert drawn.poses.shape == (0, 1, 3) and drawn.position_std == CAMERAS["30hz"].position
+
+
 def test_draws_lose_frames_and_differ_by_seed():
     one, again, other = (seen(CAMERAS["30hz"], seed) for seed in (1, 1, 2))
     assert np.array_equal(one.poses, again.poses, equal_nan=True) and not np.array_equal(one.time_s, other.time_s)

@@ -42,7 +42,10 @@ class Support:
     @property
     def name(self) -> str:
         """Name: own_weight, rigid, or the stiffness with its unit."""
-        return "rigid" if self.is_rigid else "own_weight" if self.stiffness == 0 else f"{self.stiffness:g} N/m"
+        if self.is_rigid or self.stiffness == 0:
+            return "rigid" if self.is_rigid else "own_weight"
+        text = f"{self.stiffness:g}"
+        return f"{text if float(text) == self.stiffness else self.stiffness} N/m"
 
 
 OWN_WEIGHT = Support(0.0)
@@ -52,14 +55,15 @@ RIGID = Support(math.inf)
 
 
 def parse_support(text: str | float) -> Support:
-    """Support by name, "own_weight" or "rigid", or by its stiffness [N/m].
+    """Support by name, such as "own_weight", "rigid" or "300 N/m", or by its stiffness [N/m].
 
     Raises:
         InvalidValueError: another text.
     """
     named = {"own_weight": OWN_WEIGHT, "rigid": RIGID}
     try:
-        return named[str(text)] if text in named else Support(float(text))
+        bare = text.removesuffix(" N/m") if isinstance(text, str) else text
+        return named[str(text)] if text in named else Support(float(bare))
     except (TypeError, ValueError, OverflowError):
         raise InvalidValueError("support", text, '"own_weight", "rigid", or a stiffness >= 0, N/m') from None
 

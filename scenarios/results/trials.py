@@ -314,5 +314,5 @@ def _of_group(root: Path, group: list[TrialRecord], weighings: dict[str, str], h
         raise InvalidValueError("--held-out", held_out, f"at most {most} of {name}'s turns; a method needs one trial")
     kept_back = tuple(turns[len(turns) - held_out :])
     moved = tuple(t.folder.name for t in group if t.folder.name not in kept_back)
-    support = parse_support(last.support.removesuffix(" N/m"))
+    support = parse_support(last.support)
     return MeasuredTrials(last.object, support, weighings[name], moved, kept_back)

@@ -24,7 +24,7 @@ from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.scene import part
 from testbed.simulation.settings import GripSettings, SimulationSettings
-from testbed.trial import parse_support
+from testbed.trial import Support, parse_support
 
 SHAPE = load_object("L2").shape
 GRASP = st.integers(0, 20)
@@ -121,7 +121,7 @@ REFUSED_CALLS: list[tuple[Callable[[], object], str, str]] = [
     (partial(replace, TRIAL, support="rigid"), "Trial.support", ""),
     *(
         (partial(parse_support, bad), "support", 'allowed: "own_weight", "rigid", or a stiffness')  # pyright: ignore[reportArgumentType]
-        for bad in (None, [1], "air", -1, 10**400)
+        for bad in (None, [1], "air", -1, 10**400, "rigid N/m", "-1 N/m")
     ),
     *(
         (partial(Push.into, faces(SHAPE)[2], bad), "Push.into.part", "0 to 1, from one end of the face")  # pyright: ignore[reportArgumentType]
@@ -163,6 +163,17 @@ def test_a_call_with_a_wrong_value_is_refused(call, field: str, allowed: str):
     with pytest.raises(InvalidValueError) as refused:
         call()
     assert refused.value.field == field and allowed in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "name"),
+    [
+        *((0.0, "own_weight"), (math.inf, "rigid"), (0.1, "0.1 N/m"), (300.0, "300 N/m"), (1e6, "1e+06 N/m")),
+        *((1234567.0, "1234567.0 N/m"), (1234568.0, "1234568.0 N/m")),
+    ],
+)
+def test_a_support_is_read_back_from_its_name(stiffness: float, name: str):
+    assert Support(stiffness).name == name and parse_support(name) == Support(stiffness)
 
 
 def test_an_action_is_a_sentence():

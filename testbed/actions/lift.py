@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Self
 
@@ -75,9 +75,9 @@ class Lift(Action, kind="lift"):
 
         The stops determine M and c; the moves determine the inertia weakly.
         """
-        moved = 2 * tilt / (max(poses, 2) - 1)
-        slow = min(cls.acceleration, moved / LEAST_STRETCH**2) if tilt else cls.acceleration
-        return cls(grasp, tilt, slow, 0, hold, poses=poses)
+        fast = cls(grasp, tilt, swings=0, hold=hold, poses=poses)
+        moved = 2 * fast.tilt / (fast.poses - 1)
+        return replace(fast, acceleration=min(fast.acceleration, moved / LEAST_STRETCH**2)) if moved else fast
 
     @property
     def seconds(self) -> float:

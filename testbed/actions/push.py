@@ -218,6 +218,6 @@ class Push(Action, kind="push"):
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""
-        x, y = (f"{1e3 * value:.0f}" for value in self.point)
-        towards = f"towards {math.remainder(math.degrees(self.direction), 360.0):.0f} deg, {self.speed * 100:g} cm/s"
+        x, y = (f"{1e3 * value:z.0f}" for value in self.point)
+        towards = f"towards {math.remainder(math.degrees(self.direction), 360.0):z.0f} deg, {self.speed * 100:g} cm/s"
         return ActionWords(f"push at ({x}, {y}) mm", manner=towards)

@@ -44,4 +44,4 @@ class Slide(TableAction, kind="slide"):
 
     def words(self, shape: ObjectShape) -> ActionWords:
         """The parts of `describe`."""
-        return ActionWords("slide", manner=f"towards {math.degrees(self.direction):.0f} deg")
+        return ActionWords("slide", manner=f"towards {math.remainder(math.degrees(self.direction), 360.0):z.0f} deg")

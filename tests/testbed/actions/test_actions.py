@@ -184,6 +184,10 @@ def test_an_action_is_a_sentence():
     assert turn.describe(SHAPE) == f"turn at {name} about (50, 20) mm, right and back, 11 deg/s"
     assert Accelerate(0).reversed().describe(SHAPE) == f"accelerate at {name}, right"
     assert Slide(0).describe(SHAPE) == f"slide at {name}, towards 0 deg"
+    for direction in (-1e-6, 100.0 * math.tau):
+        assert Slide(0, direction).describe(SHAPE) == Slide(0).describe(SHAPE)
+        pushed = Push((0.0, 0.05), direction).describe(SHAPE)
+        assert pushed == Push((-1e-6, 0.05), 0.0).describe(SHAPE) and "-0" not in pushed
     assert Lift(0).describe(SHAPE) == f"lift at {name}, 6 swings, held 2 s"
     assert (Weigh().describe(SHAPE), Slide(99).describe(SHAPE)) == ("weigh", "slide at grasp 99, towards 0 deg")
 

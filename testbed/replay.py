@@ -134,6 +134,8 @@ def _recording(path: Path) -> tuple[str, Recording]:
     try:
         header = json.loads((pq.read_schema(path).metadata or {})[b"heft"])
         action, provenance = action_from_dict(header["action"]), header["provenance"]
+        if not isinstance(provenance, dict) or not all(isinstance(text, str) for text in provenance.values()):
+            raise InvalidValueError("provenance", provenance, "a table of texts")
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError) as error:
         raise DamagedFileError(f"{path}: not a trajectory file: {error}") from None
     recording = Recording(path, action, _object_of(path, provenance), provenance.get("support"))

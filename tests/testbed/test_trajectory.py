@@ -335,6 +335,11 @@ def test_a_folder_without_records_or_with_another_file_among_them_is_refused(tmp
     rewrite_header(path, lambda header: header | {"action": header["action"] | {"kind": "twist"}})
     with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file: action\.kind: got 'twist'"):
         ReplayRunner(tmp_path)
+    save_trajectory(record(), path)
+    for provenance in ([], None, {"recorded": 5}):
+        rewrite_header(path, lambda header, given=provenance: header | {"provenance": given})
+        with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file: provenance: got .* a table"):
+            ReplayRunner(tmp_path)
     path.write_text("time_s\n0.1\n")
     with pytest.raises(DamagedFileError, match=r"a\.parquet: not a trajectory file"):
         ReplayRunner(tmp_path)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.files import write_text
@@ -15,6 +15,7 @@ from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
 from testbed.toml import Finite, NonNegative, Positive, fitted, load_toml, toml_text
+from testbed.validation import unit_quaternion
 
 _THREE, _SIX = Field(min_length=3, max_length=3), Field(min_length=6, max_length=6)
 Vector = Annotated[list[Finite], _THREE]
@@ -24,7 +25,11 @@ Center = Annotated[list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=Fa
 Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], _SIX]
 Deviations = Annotated[list[NonNegative], _THREE]
 Walk = Annotated[list[Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]], _SIX]
-Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4)]
+Quaternion = Annotated[
+    list[Finite],
+    Field(min_length=4, max_length=4),
+    AfterValidator(lambda values: unit_quaternion("", values).tolist()),
+]
 
 
 class CalibrationFile(BaseModel):

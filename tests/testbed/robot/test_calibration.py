@@ -15,8 +15,14 @@ from scipy.spatial.transform import Rotation
 from scenarios.cli.main import main
 from testbed import GRAVITY, InvalidValueError
 from testbed.importers.logs import LogError
-from testbed.robot.calibration.file import CalibrationFile, load_calibration, save_calibration
-from testbed.robot.calibration.hand_eye import align
+from testbed.robot.calibration.file import (
+    CalibrationFile,
+    load_calibration,
+    load_hand_eye,
+    save_calibration,
+    save_hand_eye,
+)
+from testbed.robot.calibration.hand_eye import HandEye, align
 from testbed.robot.calibration.recorded_poses import recorded_poses
 from testbed.robot.calibration.static_poses import (
     Calibration,
@@ -26,6 +32,7 @@ from testbed.robot.calibration.static_poses import (
     in_words,
     static_pose,
 )
+from testbed.robot.interfaces import Pose
 from testbed.robot.kinova.gripper import data_sheet
 from testbed.simulation.motion import arm_model, gripper_tool
 from testbed.toml import InvalidFileError
@@ -247,7 +254,7 @@ MEASURED = [n for n in CalibrationFile.model_fields if n.startswith(("bias", "to
         ("sign = .*", "sigm = -1", r"sigm: no such field.*nearest: sign"),
         ("tool_mass_kg = .*", "tool_mass_kg = -0.9", r"tool_mass_kg: got -0\.\d+"),
         ("sensor_in_hand_wxyz = .*", "sensor_in_hand_wxyz = [3.0, 1, 0, 0, 0]", r"sensor_in_hand_wxyz"),
-        ("sensor_in_hand_wxyz = .*", "sensor_in_hand_wxyz = [1, 1, 0, 0]", "a unit quaternion"),
+        ("sensor_in_hand_wxyz = .*", "sensor_in_hand_wxyz = [1, 1, 0, 0]", "sensor_in_hand_wxyz: .*a unit quaternion"),
         ("poses = 8", "", r"poses: missing"),
         *((rf"({name} = .*?)[-+.\de]+(\]?)", r"\g<1>1e6\2", name) for name in MEASURED),
     ],
@@ -261,6 +268,14 @@ def test_a_damaged_file_is_refused(tmp_path: Path, mounted: Calibration, line: s
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InvalidFileError, match=field):
         load_calibration(path)
+
+
+def test_a_trackers_file_names_its_error(tmp_path: Path):
+    path = tmp_path / "hand_eye.toml"
+    save_hand_eye(path, HandEye(Pose(np.zeros(3), np.array([1.0, 0, 0, 0])), 0.0, 0.0), "2026-01-31")
+    path.write_text(path.read_text("utf-8").replace("[1.0, ", "[2.0, "), encoding="utf-8")
+    with pytest.raises(InvalidFileError, match=r"hand_eye\.toml: tracker_in_base_wxyz: .*a unit quaternion"):
+        load_hand_eye(path)
 
 
 @pytest.mark.parametrize(("change", "field"), [({"mass": 12.0}, "tool_mass_kg"), ({"gain": np.full(6, 3.0)}, "gain")])

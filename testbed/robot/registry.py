@@ -72,10 +72,11 @@ def load_robot_file(path: Path) -> RobotFile:
 
     Raises:
         InvalidFileError: not a robot file, with a line for each error.
-        InvalidValueError: no file of another name; a device's number outside its range, or without a range.
+        InvalidValueError: no file of another name, or a folder in place of a file; a device's number outside its range,
+            or without a range.
     """
     if not path.is_file():
-        if path.name != DEFAULT:
+        if path.name != DEFAULT or path.exists():
             raise InvalidValueError("config", str(path), "a path to an existing .toml file")
         return RobotFile()
     file = load_toml(path, RobotFile)

@@ -172,6 +172,12 @@ def test_a_number_of_the_files_own_tables_is_no_bool_and_no_text(tmp_path):
     ]
 
 
+def test_a_folder_is_no_robot_file(tmp_path):
+    (tmp_path / "robot.toml").mkdir()
+    with pytest.raises(InvalidValueError, match=r"config: got .*a path to an existing"):
+        load_robot_file(tmp_path / "robot.toml")
+
+
 def test_settings_within_their_ranges_are_taken(tmp_path):
     file = robot_file(tmp_path, "[arm]\nsettings = { silence = 0.05, turn_speed = 1 }\n[sensor]\nport = '/dev/none'")
     arm = build_arm(file)

@@ -125,7 +125,8 @@ def inertial_equations(
     wrench, time = _means(motion.wrench[:count], block), _means(motion.time_s[:count], block)
     kept = _rests(motion, count, block) if still_only else np.ones(len(time), dtype=bool)
     if not kept.any():
-        raise InvalidValueError("motion", f"{len(motion.time_s)} samples", f"{block} or more in a row, at rest")
+        allowed = f"{block} or more in a row{', at rest' * still_only}"
+        raise InvalidValueError("motion", f"{len(motion.time_s)} samples", allowed)
     rows, wrench, time = rows[kept], wrench[kept], time[kept]
     noise = np.array([*sensing.force_noise, *sensing.torque_noise])
     noise = np.sqrt((noise**2 * (1 + sensing.lag1) / (1 - sensing.lag1) + LEAST_NOISE**2) / block)

@@ -293,6 +293,7 @@ def by_c1(lift: Trajectory) -> Trajectory:
 
 
 STILL = inertial_equations(motion(body()[2], still=True), IDEAL)
+BRIEF = HeldMotion(np.arange(5.0), *np.zeros((3, 5, 3)), np.zeros((5, 6)))
 ONE_LIFT = "one or more lifts that ended well"
 
 
@@ -300,6 +301,8 @@ ONE_LIFT = "one or more lifts that ended well"
     ("call", "field", "said"),
     [
         (lambda _: homogeneous_parts(STILL, [*body()[0], *body(seed=5)[0]]), "parts", "at most 4"),
+        (lambda _: inertial_equations(BRIEF, IDEAL), "motion", "5 samples'; allowed: 10 or more in a row$"),
+        (lambda _: inertial_equations(BRIEF, IDEAL, still_only=True), "motion", "10 or more in a row, at rest$"),
         (lambda _: homogeneous_parts(STILL, []), "parts", "got 0; allowed: one or more"),
         (lambda _: lift_equations(OBJECT.shape, []), "trajectories", f"no lift.*{ONE_LIFT}"),
         (lambda _: Payload.of_lifts(L2.shape, []), "trajectories", ONE_LIFT),

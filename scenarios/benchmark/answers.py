@@ -59,8 +59,8 @@ def read_answers(path: Path, problems: Mapping[str, Problem]) -> dict[str, Answe
         problems: problems of the benchmark.
 
     Raises:
-        InvalidValueError: no CSV with these columns; or a row, named by its line, with an unknown problem, group or
-            status, a group twice, a number that is none, negative or infinite, or an answer that lacks a group.
+        InvalidValueError: no CSV with these columns, each once; or a row, named by its line, with an unknown problem,
+            group or status, a group twice, a number that is none, negative or infinite; or an answer without a group.
         OSError: the file cannot be read.
     """
     try:
@@ -68,6 +68,17 @@ def read_answers(path: Path, problems: Mapping[str, Problem]) -> dict[str, Answe
     except UnicodeDecodeError:
         raise InvalidValueError("ANSWERS.csv", str(path), "a text file in UTF-8") from None
     reader = csv.DictReader(text.splitlines())
+    try:
+        found = _rows(reader, problems, path)
+    except csv.Error as error:
+        raise InvalidValueError(f"line {reader.reader.line_num}", str(error), "rows of a CSV file", file=path) from None
+    return {name: _joined(problems[name], groups, path) for name, groups in found.items()}
+
+
+def _rows(
+    reader: csv.DictReader[str], problems: Mapping[str, Problem], path: Path
+) -> dict[str, dict[str, tuple[Cell, Cell, str]]]:
+    """Mass, error and status by problem and group."""
     header = [name.strip() for name in reader.fieldnames or ()]
     reader.fieldnames = header
     if unknown := [name for name in header if name not in COLUMNS]:
@@ -75,6 +86,8 @@ def read_answers(path: Path, problems: Mapping[str, Problem]) -> dict[str, Answe
         raise InvalidValueError("line 1", unknown[0], allowed, file=path)
     if missing := [name for name in COLUMNS[:3] if name not in header]:
         raise InvalidValueError("line 1", ",".join(header), f"a column {missing[0]}", file=path)
+    if twice := [name for name in COLUMNS if header.count(name) > 1]:
+        raise InvalidValueError("line 1", ",".join(header), f"a column {twice[0]} once", file=path)
     found: dict[str, dict[str, tuple[Cell, Cell, str]]] = {}
     for row in reader:
         where = f"line {reader.line_num}"
@@ -85,7 +98,7 @@ def read_answers(path: Path, problems: Mapping[str, Problem]) -> dict[str, Answe
         except InvalidValueError as error:
             raise InvalidValueError(f"{where}, {error.field}", error.given, error.allowed, file=path) from None
         found[problem][group] = values
-    return {name: _joined(problems[name], groups, path) for name, groups in found.items()}
+    return found
 
 
 def _parsed(
@@ -114,7 +127,7 @@ def _number(field: str, text: str, most: float = MOST_KG) -> Cell:
     if not text:
         return None
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not 0 <= value <= most:

@@ -291,6 +291,8 @@ def second(text):
         (second(NAME + ",{},nan,,"), "line 3, mass_kg"),
         (second(NAME + ",{},-0.1,,"), "line 3, mass_kg"),
         (second(NAME + ",{},0.1 kg,,"), "line 3, mass_kg"),
+        (second(NAME + ",{},0.1_5,,"), "line 3, mass_kg"),
+        (second(NAME + ",{}," + 200_000 * "1" + ",,"), "line 3: .*field larger"),
         (second(NAME + ",{},0.1,-1,"), "line 3, error_kg"),
         (second(NAME + ",{},0.1,nan,"), "line 3, error_kg"),
         (second(NAME + ",{},0.1,,okay"), "line 3, status.*nearest: ok"),
@@ -302,6 +304,7 @@ def second(text):
         (second(NAME + ",{},0.1,0.01,unexplained"), "status"),
         ("problem,group,mass", "line 1.*nearest: mass_kg"),
         ("", "column problem"),
+        ("problem,group,mass_kg,mass_kg,status", "line 1.*mass_kg once"),
     ],
 )
 def test_mistakes_of_a_file_by_hand_are_named(published, tmp_path, change, said):

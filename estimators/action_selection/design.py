@@ -98,6 +98,12 @@ CRITERIA: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {"A": _trace, "
 """Criterion as a function of the groups' covariance (..., n_m, n_m) [kg^2] and M [kg]."""
 
 
+def check_criterion(field: str, value: object) -> None:
+    """Raise InvalidValueError for a criterion that is none."""
+    if value not in get_args(Criterion):
+        raise InvalidValueError(field, value, f"one of {', '.join(get_args(Criterion))}")
+
+
 @dataclass(frozen=True)
 class Guess:
     """Assumptions before the first trial: weight, sensor, friction, support models and setup."""
@@ -147,8 +153,7 @@ class Design:
     time: RobotTime = field(default_factory=RobotTime)
 
     def __post_init__(self) -> None:
-        if self.criterion not in get_args(Criterion):
-            raise InvalidValueError("criterion", self.criterion, f"one of {', '.join(get_args(Criterion))}")
+        check_criterion("criterion", self.criterion)
 
     @staticmethod
     def of(

@@ -12,7 +12,16 @@ from jaxtyping import Float
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime
-from estimators.action_selection.design import LEAST_GAIN, Belief, Criterion, Design, Guess, prior_belief, steady
+from estimators.action_selection.design import (
+    LEAST_GAIN,
+    Belief,
+    Criterion,
+    Design,
+    Guess,
+    check_criterion,
+    prior_belief,
+    steady,
+)
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, Plan, PlanStep, always_feasible, plan_step
 from estimators.action_selection.rank import RANK_DRIVEN, allowed_grasps
 from testbed.actions.base import Action
@@ -72,6 +81,7 @@ class PlannedPolicy:
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise InvalidValueError("PlannedPolicy.kind", self.kind, f"one of {', '.join(get_args(Kind))}")
+        check_criterion("PlannedPolicy.criterion", self.criterion)
         check_integer("PlannedPolicy.candidates", self.candidates)
         if not isinstance(self.grasps, tuple | None):
             raise InvalidValueError("PlannedPolicy.grasps", self.grasps, "a tuple of indices, or None for all")

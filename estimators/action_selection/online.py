@@ -10,7 +10,16 @@ from jaxtyping import Float
 
 from estimators.action_selection.candidates import ActionFamily
 from estimators.action_selection.cost import RobotTime, spent_seconds
-from estimators.action_selection.design import Belief, Criterion, Design, Guess, expected_nad, prior_belief, steady
+from estimators.action_selection.design import (
+    Belief,
+    Criterion,
+    Design,
+    Guess,
+    check_criterion,
+    expected_nad,
+    prior_belief,
+    steady,
+)
 from estimators.action_selection.greedy import MOST_CHECKS, greedy_choice
 from estimators.action_selection.plan import FeasibilityLog, Feasible, Goal, always_feasible
 from estimators.action_selection.rank import allowed_grasps
@@ -26,6 +35,7 @@ from estimators.support_models.estimator import SupportAware
 from testbed.actions.base import Action
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
 
 LOWEST_FRICTION = 0.02
 """Least friction at which information is taken."""
@@ -82,6 +92,10 @@ class OnlinePolicy:
     """Method that answers after every trial."""
     feasible: Feasible = always_feasible
     """Check of an action by the robot or simulator."""
+
+    def __post_init__(self) -> None:
+        check_criterion("OnlinePolicy.criterion", self.criterion)
+        check_integer("OnlinePolicy.candidates", self.candidates)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action of `decide`."""

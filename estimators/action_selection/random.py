@@ -23,6 +23,7 @@ from testbed.errors import InfeasibleTrialError
 from testbed.objects.faces import faces
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
 
 AIM = math.radians(30)
 """Greatest angle between a push and the face's normal [rad]."""
@@ -51,6 +52,9 @@ class RandomPushes:
     """Actions that the bench refused, and why; grows as trials are made."""
     before: ActionPolicy | None = None
     """Policy of turns that come first: pushes follow where those that ended well leave rank(Q) open."""
+
+    def __post_init__(self) -> None:
+        check_integer("RandomPushes.pushes", self.pushes, 0)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action; None when done."""
@@ -99,6 +103,9 @@ class RandomDrags:
     """Seed of the draws."""
     refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
     """Actions that the bench refused, and why; grows as trials are made."""
+
+    def __post_init__(self) -> None:
+        check_integer("RandomDrags.drags", self.drags, 0)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next slide or turn; None when done, or without an allowed grasp."""

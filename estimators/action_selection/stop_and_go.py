@@ -14,6 +14,7 @@ from testbed.actions.base import Action
 from testbed.actions.lift import Lift
 from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
+from testbed.validation import check_integer
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class StopAndGo:
     """Policy whose actions come first."""
     refused: Mapping[Action, str] = field(default_factory=dict, compare=False)
     """Actions that the bench refused, and why; grows as trials are made."""
+
+    def __post_init__(self) -> None:
+        check_integer("StopAndGo.lifts", self.lifts, 0)
 
     def next(self, shape: ObjectShape, trajectories: Sequence[Trajectory]) -> Action | None:
         """Next action; None when done."""

@@ -61,6 +61,16 @@ REFUSED = [
         for grasp in (-1, 99, "1")
     ),
     *((partial(RankDriven, pivots=wrong), r"pivots.*allowed: an integer >= ") for wrong in WRONG_COUNTS),
+    *(
+        (partial(kind, **{name: wrong}), rf"^{kind.__name__}\.{name}: .*allowed: an integer >= 0")
+        for kind, name in ((RandomPushes, "pushes"), (RandomDrags, "drags"), (StopAndGo, "lifts"))
+        for wrong in WRONG_COUNTS
+    ),
+    *(
+        (partial(replace, policy, **change), f"^{type(policy).__name__}.{next(iter(change))}: ")
+        for policy in (PlannedPolicy(WEIGHED), OnlinePolicy(WEIGHED))
+        for change in ({"criterion": "E"}, {"candidates": 0})
+    ),
     (partial(RankDriven, most=0), r"most.*allowed: an integer >= "),
     *(
         (partial(ActionFamily().sample, L2, [0], wrong, 0), r"^count.*allowed: an integer >= ")

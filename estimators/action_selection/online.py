@@ -133,7 +133,7 @@ class OnlinePolicy:
         if self.goal.met(nad) and answered:
             return decision(None, "the target is met")
         if len(trajectories) >= self.goal.most:
-            return decision(None, f"{self.goal.most} trials were made, the limit")
+            return decision(None, f"the limit of trials ({self.goal.most}) is reached")
         left = self.goal.left(spent_seconds(shape, trajectories))
         if disagree and (fitted := posterior_of(shape, guess.weight, trajectories)) is not None:
             worst = trajectories[max(fitted.by_trial, key=fitted.by_trial.__getitem__)].action

@@ -52,7 +52,7 @@ class Goal:
         """Reason to end after a number of `trials`; empty without one."""
         if self.met(belief.expected_nad):
             return "the target is met"
-        return f"{self.most} trials, the limit" if trials >= self.most else ""
+        return f"the limit of trials ({self.most}) is reached" if trials >= self.most else ""
 
 
 @dataclass(eq=False)

@@ -148,7 +148,7 @@ def test_touch_detects_a_rigid_body_and_prints_open_masses(tmp_path, capsys):
 def test_after_one_trial_masses_have_wide_errors_and_what_is_open_is_named(tmp_path, capsys):
     main(["touch", "F2", "--most", "1", "--candidates", "300", "--out", str(tmp_path / "run")])
     said = " ".join(capsys.readouterr().out.split())
-    assert "stopped: 1 trials were made, the limit the target of 5 % is not reached" in said
+    assert "stopped: the limit of trials (1) is reached the target of 5 % is not reached" in said
     weight = said.partition("weighed: ")[2].split(" kg")[0]
     assert abs(float(weight) - 1.8) < 0.005
     expected, true = (float(number) for number in re.findall(r"expected NAD ([\d.]+) %, .* truth ([\d.]+) %", said)[0])

@@ -260,7 +260,7 @@ def test_time_and_number_of_trials_end_a_run():
     obj = drawn_object(0)
     first = policy(obj, Goal(until=1e-4, most=1))
     trials, last = run(obj, first)
-    assert len(trials) == 1 and "1 trials were made" in last.why
+    assert len(trials) == 1 and last.why == "the limit of trials (1) is reached"
     _, short = run(obj, policy(obj, Goal(budget_s=4.0)))
     assert "the budget is spent" in short.why and short.nad > 0.4
 

@@ -75,7 +75,9 @@ class ActionFamily:
         Args:
             shape: geometry and grasps.
             grasps: allowed grasps; without any, all actions are pushes.
-            count: number of actions; turns that are not possible are drawn again.
+            count: about the number of actions. There are more where it is small: an accelerated turn, a turn, a push
+                and two lifts by each grasp, if the family has them, are drawn whatever it is. There are fewer where
+                actions are not possible, and beyond `MOST_PUSHES` and `MOST_DRAGS`.
             seed: seed of the draw.
 
         Raises:

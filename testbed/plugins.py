@@ -123,7 +123,8 @@ def load_class(path: str, role: Role[T], field: str) -> type[T]:
     module = _imported(name, path, field)
     kind = getattr(module, attribute, None)
     if kind is None:
-        own = [key for key, value in vars(module).items() if inspect.isclass(value) and value.__module__ == name]
+        classes = inspect.getmembers(module, inspect.isclass)  # of lazy names too
+        own = [key for key, value in classes if f"{value.__module__}.".startswith(f"{name}.")]
         known = f"a class of {name}: {', '.join(own) or 'it defines none'}{nearest(attribute, own)}"
         raise InvalidValueError(field, path, known)
     if wrong := _breach(kind, role):

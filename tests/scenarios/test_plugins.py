@@ -141,6 +141,7 @@ REFUSED = [
     (METHOD.format("half_done:Even"), "half_done needs no_such_thing"),
     (METHOD.format("wrong_words:Even"), "SyntaxError"),
     (METHOD.format("of_user:Evne"), r"nearest: Even\)"),
+    (METHOD.format("estimators:HiddenState"), r"nearest: HiddenStates\)"),
     (METHOD.format("of_user:Mute"), "Mute has no estimate"),
     (METHOD.format("of_user:Deaf"), r"Deaf has estimate\(self, data\)"),
     (METHOD.format("of_user:function"), "this is a function"),

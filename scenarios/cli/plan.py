@@ -274,6 +274,8 @@ def plan(
         raise InvalidValueError("--record", record, "a file that ends in .rrd")
     console, model, sensor = open_console(), load_object(object_, measured=weight is not None), preset(search.sensing)
     carrier, goal = carrier_of(model, search.assumed_support), search.goal
+    if criterion != "I" and policy not in ("greedy", "batch"):
+        raise InvalidValueError("--policy", policy, "greedy or batch with --criterion: it minimizes none")
     weighed, setup = weight or read_scale(model.total_mass, sensor, search.seed), world_of(world).stated
     guess = Guess(weighed, sensor.stated, friction, ASSUMED_SUPPORTS[carrier], setup)
     allowed = named_grasps(model, search.grasps)
@@ -282,6 +284,8 @@ def plan(
             raise InvalidValueError(
                 "--policy", policy, "greedy, batch or random with --lifts or --pushes: it only turns"
             )
+        if search.candidates != PLANNED.candidates:
+            raise InvalidValueError("--policy", policy, "greedy, batch or random with --candidates: it draws none")
         made = rank_driven_plan(model.shape, guess, goal, policy, allowed, search.seed)
     else:
         check, family = FeasibilityCheck(model.shape, guess), search.family(carrier)

@@ -174,7 +174,11 @@ def _lifted(folder: Path, name: str | None, grasp: str | None, *, with_tool: boo
     chosen = [record for record in records if record.object.name == (name or names[0])]
     keys = tuple(record.folder.name for record in sorted(chosen, key=recorded_order))
     trials = sensed_trials(Store(folder), keys, sensing_of(folder), 0)
-    return Payload.of_lifts(chosen[0].object.shape, trials, with_tool=with_tool, grasp=grasp)
+    try:
+        return Payload.of_lifts(chosen[0].object.shape, trials, with_tool=with_tool, grasp=grasp)
+    except InvalidValueError as error:
+        field = "--grasp" if error.field == "grasp" else error.field
+        raise InvalidValueError(field, error.given, error.allowed) from None
 
 
 def _export_trial(folder: Path, beginning: str, out: Path | None) -> None:

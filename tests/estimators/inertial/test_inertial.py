@@ -328,7 +328,7 @@ def test_a_payload_is_of_the_grasp_named(tmp_path, capsys):
     assert "a folder with lifts" in refusal(capsys, "payload", str(tmp_path))
     for grasp in (1, 2):
         put_trial(tmp_path, "L2", Lift(grasp), RIGID, SimulationSettings(grip=GripSettings(mode="weld")))
-    assert "grasp: got None; allowed: " in refusal(capsys, "payload", str(tmp_path))
+    assert "--grasp: got None; allowed: " in refusal(capsys, "payload", str(tmp_path))
     for name in ("C1", "A2"):
         main(["payload", str(tmp_path), "--grasp", name])
         assert f"held by grasp {name}" in capsys.readouterr().out

@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from testbed.trial import Trial
 
 Kind = Literal["rotate", "slide", "accelerate", "lift", "stop_and_go", "push", "weigh"]
+_PLACE = "at", "at_seen"
 _USED: dict[Kind, tuple[str, ...]] = {
-    "rotate": ("grasp", "seconds", "speed", "pivot", "back"),
-    "slide": ("grasp", "seconds", "speed", "direction"),
-    "accelerate": ("grasp", "seconds"),
-    "lift": ("grasp", "seconds", "tilt"),
-    "stop_and_go": ("grasp", "seconds", "tilt"),
-    "push": ("speed", "point", "direction", "curvature", "length", "radius"),
+    "rotate": ("grasp", "seconds", "speed", "pivot", "back", *_PLACE),
+    "slide": ("grasp", "seconds", "speed", "direction", *_PLACE),
+    "accelerate": ("grasp", "seconds", *_PLACE),
+    "lift": ("grasp", "seconds", "tilt", *_PLACE),
+    "stop_and_go": ("grasp", "seconds", "tilt", *_PLACE),
+    "push": ("speed", "point", "direction", "curvature", "length", "radius", *_PLACE),
     "weigh": ("weight",),
 }
 """Options of `trial` that each action uses, but for those that all use."""
@@ -159,7 +160,8 @@ def _check_used(action: Kind, given: Mapping[str, object]) -> None:
     for name in dict.fromkeys(name for used in _USED.values() for name in used):
         if name not in _USED[action] and given[name] != usual[name].default:
             users = " or ".join(kind for kind, used in _USED.items() if name in used)
-            raise InvalidValueError(f"--{name}", given[name], f"none with --action {action}: {users} uses it")
+            option = f"--{name.replace('_', '-')}"
+            raise InvalidValueError(option, given[name], f"none with --action {action}: {users} uses it")
 
 
 def action_of(

@@ -398,6 +398,11 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
         (("trial", "L2", "--action", "slide", "--no-back"), "--back: got False; allowed: none with --action slide"),
         (("trial", "L2", "--action", "push", "--grasp", "A2"), "--grasp: got 'A2'; allowed: none with --action push"),
         (("trial", "L2", "--action", "weigh", "--grasp", "NOPE", "--dry-run"), "--grasp: got 'NOPE'; allowed: none"),
+        (
+            ("trial", "L2", "--action", "weigh", "--at", "0.4", "0", "0"),
+            "--at: got (0.4, 0.0, 0.0); allowed: none with",
+        ),
+        (("trial", "L2", "--action", "weigh", "--at-seen"), "--at-seen: got True; allowed: none with --action weigh"),
         (("trial", "L2", "--length", "0.2"), "--length: got 0.2; allowed: none with --action rotate: push uses it"),
         (("trial", "L2", "--action", "weigh", "--weight", "1.8", "--dry-run"), "--weight: got 'with --dry-run, which"),
     ],

@@ -183,6 +183,9 @@ def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:
         passed.append(frame)
         chain.append(edges[frame])
         frame = edges[frame].parent
+    if frame in passed:
+        cycle = ", ".join([*passed, frame])
+        raise LogError(f"{log.path}: {field}.frame: a cycle of transforms ({cycle}); allowed: a tree, of one root")
     if of.base not in (None, frame):
         raise InvalidValueError(f"{field}.base", of.base, f"a frame above {of.frame}, or {frame}", file=log.path)
     moving = [edge for edge in chain if len(edge.time_s) > 1]
@@ -231,6 +234,9 @@ def _from_joints(log: MessageLog, hand: HandMap, time: TimeMap, folder: Path) ->
         raise InvalidValueError("hand.urdf", None, f"the arm's URDF: {hand.topic} has joint angles", file=log.path)
     chain = joints_to(folder / hand.urdf, str(hand.frame), hand.base)
     names = [f"position.{joint.name}" for joint in chain if joint.kind != "fixed"]
+    if not names:
+        allowed = f"a link that a joint moves against {hand.base or 'the root'}"
+        raise InvalidValueError("hand.frame", hand.frame, allowed, file=folder / hand.urdf)
     stamps, values = log.series("hand.urdf", names, hand.topic, time)
     position, rotation = forward_kinematics(chain, values)
     return Series(stamps, position), rotation

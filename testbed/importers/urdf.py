@@ -42,7 +42,7 @@ def joints_to(path: Path, link: str, base: str | None = None) -> list[Joint]:
 
     Raises:
         InvalidValueError: no such link, or a joint of a kind that has no angle.
-        LogError: a file that is no URDF.
+        LogError: a file that is no URDF, or whose links form a cycle.
     """
     try:
         robot = ElementTree.parse(path).getroot()
@@ -55,6 +55,8 @@ def joints_to(path: Path, link: str, base: str | None = None) -> list[Joint]:
     while above in joints and above != base and len(chain) <= len(joints):
         chain.append(joints[above])
         above = joints[above].parent
+    if len(chain) > len(joints):
+        raise LogError(f"{path}: a cycle of links above {link}; allowed: a tree, of one root")
     if base not in (None, above):
         raise InvalidValueError("hand.base", base, f"a link above {link}, or {above}", file=path)
     if wrong := [j for j in chain if j.kind not in _KINDS]:

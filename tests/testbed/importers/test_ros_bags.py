@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from testbed import HeftError, Trajectory
 from testbed.importers.columns import HandMap, TimeMap
 from testbed.importers.importer import import_trajectory
-from testbed.importers.messages import MessageLog, open_messages
+from testbed.importers.messages import Message, MessageLog, open_messages
 from testbed.importers.poses import hand_pose
 from tests.fakes.lab_bench import write_messages
 
@@ -247,6 +247,20 @@ def test_a_tree_of_transforms(bench: Bench, as_csv: Trajectory, tmp_path: Path):
         assert error in no_pose(log, hand, change, tmp_path)
 
 
+def test_a_cycle_of_transforms_is_refused(tmp_path: Path):
+    def edge(parent: str, child: str, at: int) -> dict[str, Any]:
+        header = {"stamp": {"sec": at, "nanosec": 0}, "frame_id": parent}
+        moved = {"translation": dict.fromkeys("xyz", at), "rotation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+        return {"header": header, "child_frame_id": child, "transform": moved}
+
+    pairs, times = (("x", "tool"), ("tool", "x")), (1, 2, 3)
+    texts = [json.dumps({"transforms": [edge(*pair, at) for pair in pairs]}).encode() for at in times]
+    sent = [Message(at, at, text) for at, text in zip(times, texts, strict=True)]
+    log = MessageLog(tmp_path, {"/tf": "tf2_msgs/TFMessage"}, lambda _: sent)
+    said = no_pose(log, HandMap(topic="/tf", frame="tool"), {}, tmp_path)
+    assert "hand.frame: a cycle of transforms (tool, x, tool); allowed: a tree" in said
+
+
 def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     (tmp_path / "gantry.urdf").write_text(URDF)
     bag = bench.bag(tmp_path / "bag", "sensor_msgs/msg/JointState", "/joint_states", bench.joint_state)
@@ -255,11 +269,17 @@ def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Pat
     (tmp_path / "other.urdf").write_text(URDF.replace('name="lift"', 'name="left"'))
     (tmp_path / "ball.urdf").write_text(URDF.replace('type="continuous"', 'type="floating"'))
     (tmp_path / "cut.urdf").write_text(URDF[:900])
+    (tmp_path / "ring.urdf").write_text(URDF.replace('<parent link="base"/>', '<parent link="tool"/>'))
+    still = URDF.replace("prismatic", "fixed").replace("continuous", "fixed")
+    (tmp_path / "still.urdf").write_text(still)
     log, arm = open_messages(bag), HandMap(topic="/joint_states", urdf="gantry.urdf", frame="tool")
     for change, error in (
         ({"urdf": "other.urdf"}, "hand.urdf: got 'position.left'; allowed: one of "),
         ({"urdf": "ball.urdf"}, "joint turn: got 'floating'; allowed: one of revolute"),
         ({"urdf": "cut.urdf"}, "cut.urdf: not a URDF: "),
+        ({"urdf": "ring.urdf"}, "ring.urdf: a cycle of links above tool; allowed: a tree"),
+        ({"urdf": "still.urdf"}, "still.urdf: hand.frame: got 'tool'; allowed: a link that a joint moves"),
+        ({"base": "tool"}, "hand.frame: got 'tool'; allowed: a link that a joint moves against tool"),
         ({"urdf": None}, "hand.urdf: got None; allowed: the arm's URDF"),
         ({"frame": "toll"}, "hand.frame: got 'toll'; allowed: one of x, z, yaw, tool, finger (nearest: tool)"),
         ({"base": "finger"}, "hand.base: got 'finger'; allowed: a link above tool, or base"),

@@ -58,6 +58,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     delay = streams.delay(table, action) if delay is None or not table.separate else delay
     if delay is not None and delay.sure:
         streams = streams.early(delay.seconds)
+    streams = streams.sensed(table)
     wrench, velocity, joints = streams.wrench, streams.velocity, streams.joints
     base = common_base(streams.needed, table.longest_gap_s)
     time, count, begin = np.arange(len(base)) / RATE, len(base), streams.epoch_s + float(base[0])

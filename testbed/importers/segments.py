@@ -125,7 +125,8 @@ def find_segments(log: Path, mapping: Path, grasps: Sequence[str] = ()) -> list[
     names = [grasp.name for grasp in shape.grasps]
     if wrong := [name for name in grasps if name not in names]:
         raise InvalidValueError("--grasps", wrong[0], f"some of {', '.join(names)}{nearest(wrong[0], names)}")
-    streams = Streams.of(open_log(log, table), table, mapping.parent).early(table.sensor.delay_s or 0.0)
+    logged = Streams.of(open_log(log, table), table, mapping.parent)
+    streams = logged.early(table.sensor.delay_s or 0.0).sensed(table)
     motion = _Motion(streams, table, gain, shape)
     found = _trials(motion.segments())
     none = not any(segment.action or segment.reason for segment in found)

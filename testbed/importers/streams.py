@@ -41,6 +41,7 @@ class Streams:
     """Streams of a log, each by its own stamps from one epoch."""
 
     wrench: Series
+    """Wrench as logged [N, N m]; see `sensed`."""
     pose: Pose
     joints: Series | None
     velocity: Series | None
@@ -64,10 +65,6 @@ class Streams:
             lambda: _camera_poses(source, table, folder),
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
-        wrench = in_sensor_axes(wrench, pose, table.sensor, table.hand)
-        if table.sensor.torque_about == "tcp":
-            lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
-            wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
         streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, left_out, camera_poses)
         return replace(streams, begin_s=float(max(one.time_s[0] for one in streams.needed)))
 
@@ -79,6 +76,14 @@ class Streams:
     def early(self, seconds: float) -> Streams:
         """Streams with the wrench's stamps shifted back by a time [s]."""
         return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
+
+    def sensed(self, table: Mapping) -> Streams:
+        """Streams with the wrench about the sensor and in its axes, which are those of its stamps: `early` is first."""
+        wrench = in_sensor_axes(self.wrench, self.pose, table.sensor, table.hand)
+        if table.sensor.torque_about == "tcp":
+            lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])
+            wrench = wrench._replace(values=wrench.values + np.hstack([np.zeros_like(lever), lever]))
+        return replace(self, wrench=wrench)
 
     def within(self, from_s: float, to_s: float | None) -> Streams:
         """The same from one time to another after the first sample; None is the end.
@@ -145,7 +150,7 @@ class Streams:
         base = common_base(self.needed, table.longest_gap_s)
         position, hand = self.tcp(table, base)
         up = (hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)).inv().apply([0.0, 0.0, 1.0])
-        torque = np.sum(resampled(self.wrench, base)[:, 3:] * up, axis=1)
+        torque = np.sum(resampled(self.sensed(table).wrench, base)[:, 3:] * up, axis=1)
         return wrench_delay(torque, position, hand, base)
 
 

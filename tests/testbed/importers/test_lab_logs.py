@@ -345,6 +345,10 @@ def test_wrenches_come_by_the_axes_of_the_base_too(turn: Trajectory, back: Traje
     mapping = mapping_of(turn)
     mapping["sensor"] |= {"axes": "base"}
     assert_allclose(import_csv(tmp_path, turn, mapping, **more).sensor_wrench, back.sensor_wrench, atol=1e-6)
+    late = {name: np.concatenate([np.repeat(values[0], 10), values[:-10]]) for name, values in more.items()}
+    mapping["sensor"] |= {"delay_s": 0.1}  # it is taken off before the wrench is turned
+    found = import_csv(tmp_path, turn, mapping, **late)
+    assert_allclose(found.sensor_wrench, back.sensor_wrench[: len(found.time_s)], atol=1e-5)
 
 
 def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):

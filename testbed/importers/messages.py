@@ -142,7 +142,7 @@ def open_messages(path: Path) -> MessageLog:
     Raises:
         LogError: a damaged file, one with content that no recorder writes, or a package that is not installed.
     """
-    what = "an MCAP file" if path.suffix == ".mcap" else "a ROS 2 bag"
+    what = "an MCAP file" if path.suffix.lower() == ".mcap" else "a ROS 2 bag"
     result = partial(parsed_log, "testbed.parsing.logs", path, what)
     with result() as found:
         topics = json.loads(found.read_bytes())

@@ -168,9 +168,9 @@ def open_log(path: Path, table: Columns) -> Log:
         return open_messages(path)
     if not path.is_file():
         raise InvalidValueError("log", str(path), f"an existing file ({_SUFFIXES}) or bag folder")
-    if path.suffix in _TEXTS + ARRAYS:
+    if path.suffix.lower() in _TEXTS + ARRAYS:
         return TableLog(path, table)
-    if path.suffix in _BAGS:
+    if path.suffix.lower() in _BAGS:
         return open_messages(path)
     raise InvalidValueError("log", str(path), f"a file that ends in {_SUFFIXES}, or a bag folder")
 

@@ -57,7 +57,7 @@ class TableLog:
         self._where, self._decimal = mapping.where, mapping.decimal
         self.numbered = mapping.rows == "poses"
         """True if rows have no times: each is a pose, and their numbers take the place of times."""
-        if path.suffix in ARRAYS:
+        if path.suffix.lower() in ARRAYS:
             self._row, self._names, self._columns = "row", *_arrays(path)
         else:
             self._row, self._names, self._columns = "line", *_text_columns(path, mapping)

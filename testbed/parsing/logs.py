@@ -39,7 +39,7 @@ def main(path: str, *rest: str) -> None:
 def topics(path: Path) -> dict[str, tuple[str, str]]:
     """Type and encoding of the messages of each topic; every checksum of the file is compared."""
     found: dict[str, tuple[str, str]] = {}
-    if path.suffix == ".mcap":
+    if path.suffix.lower() == ".mcap":
         with _whole("an MCAP file"):
             for schema, channel, _ in _mcap(path):
                 found[channel.topic] = (schema.name if schema else "", channel.message_encoding)
@@ -52,7 +52,7 @@ def topics(path: Path) -> dict[str, tuple[str, str]]:
 def messages(path: Path, topic: str) -> Iterator[tuple[int, int, str]]:
     """Times at which messages were logged and sent [ns], equal in a bag, and their content as a line of JSON."""
     number = 0
-    if path.suffix == ".mcap":
+    if path.suffix.lower() == ".mcap":
         with _whole("an MCAP file"):
             for _, channel, message in _mcap(path):
                 if channel.topic != topic:

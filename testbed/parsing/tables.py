@@ -24,7 +24,7 @@ _NUMBERS = "biuf"
 
 def main(path: str, result: str) -> None:
     """Write the columns of a file."""
-    found = dict(_parquet(Path(path)) if path.endswith(".parquet") else _hdf5(Path(path)))
+    found = dict(_parquet(Path(path)) if path.lower().endswith(".parquet") else _hdf5(Path(path)))
     if len(found) > MOST_COLUMNS:
         raise ValueError(f"got {len(found)} columns of numbers; allowed: at most {MOST_COLUMNS}")
     with Path(result).open("wb") as file:

@@ -351,6 +351,15 @@ def test_wrenches_come_by_the_axes_of_the_base_too(turn: Trajectory, back: Traje
     assert_allclose(found.sensor_wrench, back.sensor_wrench[: len(found.time_s)], atol=1e-5)
 
 
+def test_a_suffix_in_capitals_is_that_of_a_log(turn: Trajectory, back: Trajectory, tmp_path: Path):
+    log, mapping = write_csv(tmp_path / "LOG.CSV", turn), mapping_of(turn)
+    pd.read_csv(log).to_parquet(tmp_path / "LOG.PARQUET")
+    for path in (log, tmp_path / "LOG.PARQUET"):
+        assert_allclose(imported(path, mapping).sensor_wrench, back.sensor_wrench, atol=1e-9)
+    sent = write_mcap(tmp_path / "LOG.MCAP", *at_other_rates(turn, 100.0, 40.0))
+    assert imported(sent, of_mcap(turn)).ok
+
+
 def test_a_wrong_speed_is_told_with_the_one_that_was_seen(turn: Trajectory, tmp_path: Path):
     asked = mapping_of(turn, action=turn.action.to_dict() | {"speed": 0.4})
     error = refused(write_csv(tmp_path / "log.csv", turn), asked)

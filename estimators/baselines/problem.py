@@ -39,6 +39,7 @@ LIKELY_FRICTION = 0.5
 FAR_OFF = 0.45
 """Part of the largest wrench, root mean square, above which a candidate explains no trial: a trial with its sign
 turned leaves more. Ours. Eq. problem cannot show this, since it divides by mass: a heavy guess hides such trials."""
+NO_DRAG = "every force at constant speed is zero, as of a dead sensor: without M nothing tells the size of the masses"
 Weighting = Literal["velocity", "covariance"]
 
 
@@ -96,6 +97,8 @@ class Problem:
         windows = observe(shape, trajectories, errors)
         if windows is None or bool(windows.accelerated.all()):
             return Estimate(None, "no_data", NO_DATA)
+        if known is None and not windows.drag:
+            return Estimate(None, "no_data", NO_DRAG)
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)

@@ -241,6 +241,11 @@ def test_mass_is_known_by_weighing_or_by_an_acceleration_alone():
     [
         ([], "no_data", "no trajectory"),
         (accelerated(OBJECT), "no_data", "constant speed"),
+        (
+            [replace(t, wrench_on_object_world=0 * t.wrench_on_object_world) for t in everything(OBJECT)],
+            "no_data",
+            "dead",
+        ),
         (turns(OBJECT)[:1], "underdetermined", "turn about more points"),
         ([replace(t, status="slipped", reason="it slipped") for t in turns(OBJECT)], "no_data", "status ok"),
     ],

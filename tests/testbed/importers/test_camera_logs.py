@@ -252,6 +252,6 @@ def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_pa
     for mapping, error in (
         (mapping_of(fold, object=str(FOLD)), "camera: got None; allowed: the poses of 2 links"),
         (mapping_with(fold, str(FOLD), links[:1]), "allowed: 2, one per link"),
-        (mapping_with(fold, str(FOLD), links[::-1]), "from where the hand has it"),
+        (mapping_with(fold, str(FOLD), links[::-1]), "order of [[camera.parts]]"),
     ):
         assert error in refused(log, mapping)

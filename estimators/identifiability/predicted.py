@@ -107,9 +107,12 @@ def predicted_pushes(
         camera = _stream(motion.time_s, motion.poses, sensing.camera)
         met = BEFORE_PUSH + RAMP_TIME / 2 + push.gap / push.speed
         within = (push.pace * BEGIN / 2, float(motion.time_s[-1]))
-        for part, _, seen in stretches(motion.time_s[kept], motion.places[kept], camera, within, push.pace):
+        for part, _, measured in stretches(motion.time_s[kept], motion.places[kept], camera, within, push.pace):
             since_tare = motion.time_s[kept[part[[0, -1]]]] + met
-            fields = {name: seen[name] for name in ("point", "twists", "acceleration", "spin_square", "poses", "seen")}
+            fields = {
+                name: measured[name]
+                for name in ("point", "twists", "acceleration", "spin_square", "poses", "camera_errors")
+            }
             found.append(Planned(index, False, None, since_tare=since_tare, **fields))
     return _observations(shape, found, sensing, setup, None) if found else None
 

@@ -80,7 +80,7 @@ def resting(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
     A particle is slow up to the camera's error of its speed; that of faster ones has a linear effect.
     """
     known = table.velocity
-    errors = torch.eye(windows.links_off.shape[1], dtype=torch.float64)
-    off = torch.stack([table.moved({"links_seen": error}).velocity.mean(1) - known for error in errors])
+    errors = torch.eye(windows.links_with_errors.shape[1], dtype=torch.float64)
+    off = torch.stack([table.moved({"link_camera": error}).velocity.mean(1) - known for error in errors])
     slow = RESTING**2 + off.square().sum((0, -1))
     return slow / (known.square().sum(-1) + slow) / 2**0.5

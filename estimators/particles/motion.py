@@ -39,7 +39,7 @@ class Planned(NamedTuple):
     poses: np.ndarray
     begun: float = math.nan
     """Yaw of the object at the start of the action, rad; NaN of a push, in which the hand does not turn."""
-    seen: np.ndarray = np.zeros((9, 0))
+    camera_errors: np.ndarray = np.zeros((9, 0))
     turned: np.ndarray = np.zeros((PARTS, 0, 3))
     turned_errors: np.ndarray = np.zeros((0, 3, 4))
 
@@ -82,12 +82,12 @@ class Motion:
     """True for windows of constant acceleration, (K,) bool."""
     pushed: Tensor
     """True for windows of a push, whose motion is measured by a camera, not by the hand, (K,) bool."""
-    seen: Float[Tensor, "K 9 E"]
-    """Errors of the object's pose, twist and acceleration by the camera, as `SteadyWindow.seen`; (K, 9, 0) if no
-    window is of a push."""
+    camera_errors: Float[Tensor, "K 9 E"]
+    """Errors of the object's pose, twist and acceleration, as `SteadyWindow.camera_errors`; (K, 9, 0) if no window
+    is of a push."""
     links: Float[Tensor, "K S L 9"]
     """Motion of each link of an articulated object over each of the parts, as `Chain.moved`; L = 0 of a rigid one."""
-    links_off: Float[Tensor, "K E S L 9"]
+    links_with_errors: Float[Tensor, "K E S L 9"]
     """`links` after one standard deviation of each error of their camera; the last is that of its delay."""
 
     def __len__(self) -> int:
@@ -106,10 +106,10 @@ class Motion:
             accelerated: True for those of constant acceleration.
         """
         held, moved = [_held(shape, each) for each in windows], [LinkMotion(shape, each) for each in windows]
-        same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "seen")
+        same = ("since_tare", "twist", "twists", "acceleration", "spin_square", "yaw", "poses", "camera_errors")
         values = {name: torch.tensor(np.array([getattr(each, name) for each in windows])) for name in same}
         pushed = torch.tensor([each.grasp is None for each in windows])
-        values["seen"] = values["seen"] if pushed.any() else values["seen"][..., :0]
+        values["camera_errors"] = values["camera_errors"] if pushed.any() else values["camera_errors"][..., :0]
         return Motion(
             **{name: value.double() for name, value in values.items()},
             grasp=torch.tensor(np.array([point for point, _ in held])),
@@ -118,7 +118,7 @@ class Motion:
             accelerated=torch.tensor(list(accelerated)),
             pushed=pushed,
             links=torch.tensor(np.array([each.links() for each in moved])),
-            links_off=torch.tensor(np.array([each.links_off() for each in moved])),
+            links_with_errors=torch.tensor(np.array([each.links_with_errors() for each in moved])),
         )
 
 
@@ -141,7 +141,7 @@ class LinkMotion:
             return True
         offsets = self.shape.particles - self.shape.grasps[self.window.grasp].position
         of = chain.link[self.shape.mass_group]
-        links, off = self.links(), self.links_off()
+        links, off = self.links(), self.links_with_errors()
         each = ((links[:, k, None], off[:, :, k, None], offsets[of == k]) for k in range(chain.links))
         return any(self._at_rest(*link) for link in each)
 
@@ -158,7 +158,7 @@ class LinkMotion:
         """Motion of every link as `Chain.moved`."""
         return self._moved(self.window.turned)
 
-    def links_off(self) -> Float[np.ndarray, "E S L 9"]:
+    def links_with_errors(self) -> Float[np.ndarray, "E S L 9"]:
         """`links` after each error of the camera: three of each link, and one of its delay for all."""
         turned, errors = self.window.turned, self.window.turned_errors
         links = np.eye(len(errors))[:, :, None]

@@ -142,7 +142,7 @@ class Observations(Motion):
         grip, count = (~self.pushed).double(), len(self)
         if self.articulated:
             motion = torch.cat([self.links, self.links[..., 5:6].square()], -1)
-            off = torch.cat([self.links_off, self.links_off[..., 5:6].square()], -1) - motion[:, None]
+            off = torch.cat([self.links_with_errors, self.links_with_errors[..., 5:6].square()], -1) - motion[:, None]
             links = torch.arange(self.links.shape[2])
             held = model.link[self.held[:, :1]]
             hinge = torch.where(links > held, held, held - 1).clamp(min=0)
@@ -154,7 +154,7 @@ class Observations(Motion):
                 "turning": torch.where(near, change, -change).sign() * ~self.standing,
                 "trails": (beyond == near[..., None]).double() * ~self.standing[..., None],
                 "held": (links == held).double(),
-                "links_off": off,
+                "links_with_errors": off,
                 "ahead": torch.zeros_like(self.twists),
             }
         else:
@@ -176,7 +176,7 @@ class Observations(Motion):
             "poses": self.poses,
             "gripped": grip,
             "of_hand": self.from_sensor[:, :2, :3],
-            "seen": self.seen,
+            "camera_errors": self.camera_errors,
             "force": self.wrench[:, :2],
         }
 
@@ -200,7 +200,7 @@ class Observations(Motion):
     def standing(self) -> Tensor:
         """True for hinges that may be at rest or reverse within a window, (K, H): their friction has no known sign."""
         rates = self.hinge_rates
-        off = torch.diff(self.links_off[..., 5], dim=3) - rates[:, None]
+        off = torch.diff(self.links_with_errors[..., 5], dim=3) - rates[:, None]
         least = rates.abs() - 3 * off.square().sum(1).sqrt()
         return ((least < SLOWEST) | (rates.sign() != rates[:, :1].sign())).any(1)
 
@@ -223,7 +223,7 @@ class Observations(Motion):
         if parts < 6:
             return torch.zeros(3, dtype=torch.float64)
         spread = torch.diff(self.twists, 5, dim=1).square().mean(1) / (252 * parts)
-        if self.seen.shape[-1] == 0:
+        if self.camera_errors.shape[-1] == 0:
             return spread.median(0).values
         return spread.masked_fill(self.pushed[:, None], torch.nan).nanmedian(0).values.nan_to_num(0.0)
 

@@ -159,13 +159,13 @@ def rows_of_planar(height: Float[Tensor, "K"], hinges: int) -> Float[Tensor, "K 
 def _slopes(windows: Observations, table: Table, mass: Float[Tensor, "P"]) -> Slopes:
     """Derivatives of planar wrenches and hinge torques in the quantities that err from window to window.
 
-    `links_seen` and `idle` are changes by one standard deviation; `idle` is the drag of particles so slow that it has
+    `link_camera` and `idle` are changes by one standard deviation; `idle` is the drag of particles so slow that it has
     no known direction.
     """
-    pushed = windows.seen.shape[-1] > 0
+    pushed = windows.camera_errors.shape[-1] > 0
     unknown = zeros(twist=(3,)) | {"mass": mass}
     if pushed:
-        unknown |= zeros(seen=(windows.seen.shape[-1],))
+        unknown |= zeros(camera_errors=(windows.camera_errors.shape[-1],))
     if pushed or windows.articulated:
         unknown |= zeros(force=table.model.particles.shape)
     if windows.articulated:
@@ -174,9 +174,9 @@ def _slopes(windows: Observations, table: Table, mass: Float[Tensor, "P"]) -> Sl
         unknown |= zeros(friction_law=(3,))
     rows, slopes = table.linearized(unknown)
     if windows.articulated:
-        ways = torch.eye(table.windows["links_off"].shape[1], dtype=torch.float64)
-        off = [table.rows({"mass": mass, "links_seen": way}) - rows for way in ways]
-        slopes["links_seen"] = torch.stack(off, -1)
+        ways = torch.eye(table.windows["links_with_errors"].shape[1], dtype=torch.float64)
+        off = [table.rows({"mass": mass, "link_camera": way}) - rows for way in ways]
+        slopes["link_camera"] = torch.stack(off, -1)
     if pushed or windows.articulated:
         idle = resting(windows, table) if windows.articulated else _stuck(windows, table)
         slopes["idle"] = slopes.pop("force") * (idle * table.windows["drag"]).repeat_interleave(2, 1)[:, None]
@@ -205,7 +205,7 @@ def _of_motion(
     if "friction_law" in slopes:  # friction varies within a trial as it does between them
         alone.append(windows.setup.friction_law * slopes["friction_law"])
     shared = [moved[..., :0]]  # an error of the clock is the same throughout a trial
-    for name in ("seen", "links_seen"):
+    for name in ("camera_errors", "link_camera"):
         if name in slopes:
             alone.append(slopes[name][..., :-1])
             shared.append(slopes[name][..., -1:])
@@ -223,6 +223,6 @@ def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
     """
     square = table.moved({}).velocity.square().sum(-1)
     place = windows.grasp[:, None] + table.lever
-    of_camera = windows.seen[:, None, 3:5] + turned(place)[..., None] * windows.seen[:, None, 5:6]
+    of_camera = windows.camera_errors[:, None, 3:5] + turned(place)[..., None] * windows.camera_errors[:, None, 5:6]
     slow = SLOW**2 + of_camera.square().sum((2, 3))[:, None]
     return (slow / (square + slow)).mean(1) * windows.pushed[:, None]

@@ -69,7 +69,7 @@ class Table:
     relative change of friction at each particle. Further: `mass` of every particle, kg; `friction` of every point of
     contact in addition to that of the windows, N; `twist`, error of the hand's, m/s and rad/s; `lead`, the time by
     which friction leads the motion, s; `inertia`, relative error of the wrench of the acceleration; `force` on every
-    particle, N; `seen` and `links_seen`, errors of the camera for a pushed object and for links, in standard
+    particle, N; `camera_errors` and `link_camera`, errors of the camera for a pushed object and for links, in standard
     deviations; and `hinge_friction`, the torque of each hinge's friction, N m.
     """
 
@@ -211,7 +211,7 @@ class Table:
         if "force" in theta:
             force, torque = force + theta["force"], torque + cross(middle.place, theta["force"])
         wrench = torch.cat([force.sum(1), torque.sum(1)[:, None]], 1).mean(0)
-        if "seen" in theta:
+        if "camera_errors" in theta:
             moved, turn = self._seen(theta, window)[0]
             pull = window["force"]
             wrench = wrench + torch.cat([turn * turned(pull), -cross(moved, pull)[None]])
@@ -227,15 +227,15 @@ class Table:
     def _links(self, theta: Theta, window: Window) -> tuple[Float[Tensor, "S L 3"], Float[Tensor, "S L 3"]]:
         """Angle and shift of every link, rad and m, and its velocity and turn rate, errors included."""
         frames, rates = window["frames"], window["rates"]
-        if "links_seen" in theta:
-            off = torch.tensordot(theta["links_seen"], window["links_off"], 1)
+        if "link_camera" in theta:
+            off = torch.tensordot(theta["link_camera"], window["links_with_errors"], 1)
             frames, rates = frames + off[..., :3], rates + off[..., 3:6]
         if "lead" in theta:
             rates = rates + theta["lead"] * window["ahead"][:, None]
         twist = theta.get("twist", torch.zeros(3, dtype=torch.float64))
-        if "seen" in theta:
+        if "camera_errors" in theta:
             twist = twist + self._seen(theta, window)[1]
-        if "twist" in theta or "seen" in theta:  # other links keep their own rate, and follow their hinge
+        if "twist" in theta or "camera_errors" in theta:  # other links keep their own rate, and follow their hinge
             held = window["held"][:, None]
             velocity = rates[..., :2] + twist[:2] + twist[2] * turned(window["trailing"])
             rates = torch.cat([velocity, rates[..., 2:] + twist[2] * held], -1)
@@ -267,7 +267,9 @@ class Table:
             Shift of the point of contact, m, and rotation of the object, rad; error of the twist of that point; and
             error of its acceleration: along x, along y, and angular.
         """
-        shift, turn, velocity, rate, pull, slope = (window["seen"] @ theta["seen"]).split([2, 1, 2, 1, 2, 1])
+        shift, turn, velocity, rate, pull, slope = (window["camera_errors"] @ theta["camera_errors"]).split(
+            [2, 1, 2, 1, 2, 1]
+        )
         at, (x, y, spin), (a, b, alpha, square) = window["grasp"], window["twist"], window["accelerations"][0, 0]
         from_origin = torch.stack([x, y]) - spin * turned(at)
         pulled = torch.stack([a, b]) - alpha * turned(at) + square * at
@@ -344,7 +346,7 @@ class Table:
     def _inertial(self, theta: Theta, window: Window, middle: Moved) -> tuple[Tensor, Tensor]:
         """Inertial force on each particle and torque about its middle, N and N m; a tilt of the table included."""
         given = window["accelerations"] * (1 + theta.get("inertia", NONE))
-        if "seen" in theta:
+        if "camera_errors" in theta:
             given = given + torch.cat([self._seen(theta, window)[2], NONE[None]])
         angle, shift = self._in_hand(theta, window)
         if angle is not None:

@@ -127,6 +127,6 @@ def _entry(cell: Cell, experiment: Experiment, store: Store) -> Entry:
 def given(experiment: Experiment, store: Store) -> list[Trajectory]:
     """Trials of an experiment as a method is given them, the weighing first."""
     return [
-        sensed(store.trajectory(key), *experiment.seen, index, key, store.secret)
+        sensed(store.trajectory(key), *experiment.policy_draw, index, key, store.secret)
         for index, key in enumerate(experiment.keys)
     ]

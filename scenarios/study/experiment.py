@@ -88,7 +88,7 @@ class Experiment:
         return [*chosen, *self.turns]
 
     @property
-    def seen(self) -> tuple[str, int]:
+    def policy_draw(self) -> tuple[str, int]:
         """Sensor and seed of the draw for the policy."""
         return self.draw or (self.scenario.policy.plan_for, self.scenario.policy.seed)
 

@@ -161,7 +161,7 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store, marks
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True
-    drawn = sensed(trajectory, *experiment.seen, len(experiment.keys), key, store.secret)
+    drawn = sensed(trajectory, *experiment.policy_draw, len(experiment.keys), key, store.secret)
     if action.moves:
         experiment.trajectories.append(drawn)
     elif drawn.ok:

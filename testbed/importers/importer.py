@@ -27,9 +27,9 @@ from testbed.importers.streams import Streams, closing_yaw, differentiated, open
 from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.robot.calibration.file import load_calibration
+from testbed.sensing.camera_poses import frame_mismatch, with_camera_poses
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
-from testbed.sensing.seen import as_seen, frame_mismatch
 from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
 
@@ -118,7 +118,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         provenance={name: words for name, words in origin.items() if words is not None},
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
-    trajectory = as_seen(compensate(trajectory, zeroed=table.sensor.zeroed))
+    trajectory = with_camera_poses(compensate(trajectory, zeroed=table.sensor.zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; {_CAMERA_ERRORS}")
     return judge_drift(trajectory, DriftLimit())

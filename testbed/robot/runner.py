@@ -32,9 +32,9 @@ from testbed.robot.raw_record import RawRecord
 from testbed.robot.recorder import Record, Recorder, doubts
 from testbed.robot.safety import UnsafeError
 from testbed.robot.weighing import weigh
+from testbed.sensing.camera_poses import with_camera_poses
 from testbed.sensing.compensation import compensate, tare_samples
 from testbed.sensing.drift import judge_drift
-from testbed.sensing.seen import as_seen
 from testbed.trajectory import SERIES, Phase, Status, Trajectory
 from testbed.trial import Trial
 
@@ -247,7 +247,7 @@ def trajectory_of(
         figures=figures,
         provenance=provenance,
     )
-    return as_seen(compensate(whole) if whole.mask(Phase.TARE).any() else whole)
+    return with_camera_poses(compensate(whole) if whole.mask(Phase.TARE).any() else whole)
 
 
 def seen_place(camera: ObjectCamera, clock: Clock, trial: Trial) -> SeenPose:

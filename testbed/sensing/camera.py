@@ -125,7 +125,7 @@ class PoseStream:
         part: int = 0,
         within: tuple[float, float] = (-math.inf, math.inf),
         span: float | None = None,
-    ) -> SeenMotion:
+    ) -> CameraMotion:
         """Motion of a part at given times, by local polynomials of degree `DEGREE` through the nearest frames.
 
         Rows are NaN if the stream has fewer than `LEAST_FRAMES` frames, outside the stream, and where frames were lost:
@@ -140,8 +140,8 @@ class PoseStream:
         """
         check_integer("part", part, least=0, most=self.parts - 1)
         std = np.array([self.position_std, self.position_std, self.angle_std])
-        seen = ~np.isnan(self.poses[:, part, 0]) & (self.time_s >= within[0]) & (self.time_s <= within[1])
-        time, pose = self.time_s[seen], self.poses[seen, part]
+        visible = ~np.isnan(self.poses[:, part, 0]) & (self.time_s >= within[0]) & (self.time_s <= within[1])
+        time, pose = self.time_s[visible], self.poses[visible, part]
         span = span or (SPAN if std.any() else 0.0)
         count, steps = len(times), np.diff(time)
         lost = max(SPAN / 2, LOST * float(np.median(steps))) if len(steps) else 0.0
@@ -159,11 +159,11 @@ class PoseStream:
         # A delay shared by all frames changes each derivative by the next one
         late = self.delay_std * np.concatenate([flat[:, 3:], np.zeros((count, 3))], axis=1)
         covariance += late[:, :, None] * late[:, None, :]
-        return SeenMotion(value[:, 0], value[:, 1], value[:, 2], covariance, late)
+        return CameraMotion(value[:, 0], value[:, 1], value[:, 2], covariance, late)
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMotion:
+class CameraMotion:
     """Motion of a part at N times by a camera, world axes; NaN where it was not measured."""
 
     pose: Float[np.ndarray, "N 3"]

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.sensing.camera import SPAN
-from testbed.sensing.push_windows import WINDOW, seen_errors
+from testbed.sensing.push_windows import WINDOW, camera_errors_of
 from testbed.sensing.windows import PARTS, SteadyWindow, part_means, reduced_once, steady_samples, windows_of
 from testbed.trajectory import Trajectory
 
@@ -32,8 +32,8 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
     for stretch in steady_samples(trajectory):
         time = trajectory.time_s[stretch]
         within = float(time[0]) - SPAN / 4, float(time[-1]) + SPAN / 4
-        seen = [camera.motion(time, part, within) for part in range(camera.parts)]
-        turned = np.stack([np.column_stack([m.pose[:, 2], m.twist[:, 2], m.acceleration[:, 2]]) for m in seen], 1)
+        motions = [camera.motion(time, part, within) for part in range(camera.parts)]
+        turned = np.stack([np.column_stack([m.pose[:, 2], m.twist[:, 2], m.acceleration[:, 2]]) for m in motions], 1)
         for part in parts_of(len(stretch), step):
             if np.isnan(turned[part]).any():  # frames were lost
                 continue
@@ -44,7 +44,7 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
                 {
                     "turned": part_means(turned[part]),
                     "turned_errors": np.array(
-                        [turned_errors(m.covariance[middle], m.late[middle], shared) for m in seen]
+                        [turned_errors(m.covariance[middle], m.late[middle], shared) for m in motions]
                     ),
                 }
             )
@@ -64,4 +64,4 @@ def turned_errors(
 ) -> Float[np.ndarray, "3 4"]:
     """Effects of the camera's errors on yaw and its two derivatives: three of the window, and one of its trial."""
     yaw = [2, 5, 8]
-    return seen_errors(covariance[np.ix_(yaw, yaw)], late[yaw], shared)
+    return camera_errors_of(covariance[np.ix_(yaw, yaw)], late[yaw], shared)

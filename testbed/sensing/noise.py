@@ -15,9 +15,9 @@ from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import perpendicular
 from testbed.objects.model import GRAVITY
 from testbed.sensing.camera import draw_camera
+from testbed.sensing.camera_poses import with_camera_poses
 from testbed.sensing.compensation import compensate
 from testbed.sensing.presets import Sensing
-from testbed.sensing.seen import as_seen
 from testbed.trajectory import Phase, Trajectory
 from testbed.worlds.draw import WorldDraw
 from testbed.worlds.instruments import as_measured, rounded, true_sensing
@@ -81,7 +81,7 @@ def draw_sensing(clean: Trajectory, sensing: Sensing, seed: int) -> Trajectory:
         provenance=provenance,
     )
     if clean.camera is not None:
-        noisy = as_seen(replace(noisy, camera=draw_camera(clean.camera, sensing.camera, seed)))
+        noisy = with_camera_poses(replace(noisy, camera=draw_camera(clean.camera, sensing.camera, seed)))
     return compensate(noisy)
 
 

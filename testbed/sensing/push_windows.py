@@ -138,13 +138,13 @@ def stretches(
     if count < 1:
         return []
     step = float(np.median(np.diff(time)))
-    seen = camera.motion(time, within=within, span=None if pace == 1.0 else pace * SPAN)
-    yaw = seen.pose[:, 2]
+    measured = camera.motion(time, within=within, span=None if pace == 1.0 else pace * SPAN)
+    yaw = measured.pose[:, 2]
     into = rotation_2d(-yaw)
-    point = np.einsum("nij,nj->ni", into, place - seen.pose[:, :2])
-    spin, alpha = seen.twist[:, 2:], seen.acceleration[:, 2:]
-    linear = np.einsum("nij,nj->ni", into, seen.twist[:, :2]) + spin * perpendicular(point)
-    rate = np.einsum("nij,nj->ni", into, seen.acceleration[:, :2]) + alpha * perpendicular(point) - spin**2 * point
+    point = np.einsum("nij,nj->ni", into, place - measured.pose[:, :2])
+    spin, alpha = measured.twist[:, 2:], measured.acceleration[:, 2:]
+    linear = np.einsum("nij,nj->ni", into, measured.twist[:, :2]) + spin * perpendicular(point)
+    rate = np.einsum("nij,nj->ni", into, measured.acceleration[:, :2]) + alpha * perpendicular(point) - spin**2 * point
     twist, acceleration = np.hstack([linear, spin]), np.hstack([rate, alpha])
     poses = np.column_stack([place, yaw])
     found = []
@@ -162,7 +162,7 @@ def stretches(
             "yaw": yaw[part[[0, -1]]],
             "poses": part_means(poses[part]),
             "point": point[part].mean(axis=0),
-            "seen": into_object @ seen_errors(seen.covariance[middle], seen.late[middle], shared),
+            "camera_errors": into_object @ camera_errors_of(measured.covariance[middle], measured.late[middle], shared),
         }
         found.append(Stretch(part, yaw[part], motion))
     return found
@@ -211,7 +211,7 @@ def _count(time: Float[np.ndarray, "N"], pace: float) -> int:
     return int(len(time) * float(np.median(np.diff(time))) / (pace * WINDOW) + 1e-6) if len(time) > 1 else 0
 
 
-def seen_errors(
+def camera_errors_of(
     covariance: Float[np.ndarray, "N N"], late: Float[np.ndarray, "N"], shared: float
 ) -> Float[np.ndarray, "N M"]:
     """Effects of a camera's errors: N of the window alone, and the effect `late` of the delay, which its trial shares.

@@ -73,7 +73,7 @@ class SteadyWindow:
     """Time from the tare to the window's first and last sample [s]."""
     point: Float[np.ndarray, "2"] | None = None
     """Mean position of the TCP in the object frame by a camera [m]; None for a grip, at its stated position."""
-    seen: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
+    camera_errors: Float[np.ndarray, "9 10"] = field(default_factory=lambda: np.zeros((9, 10)))
     """Errors of the object's pose, twist and acceleration by a camera, object axes: effects of one standard deviation
     each, nine of the window alone and one that the windows of a trial share; 0 for a grip."""
     tool_tilt: Float[np.ndarray, "2 6"] = field(default_factory=lambda: np.zeros((2, 6)))
@@ -89,7 +89,7 @@ class SteadyWindow:
         square, pair = (6, 6), (2,)
         freeze_arrays(self, wrench=(6,), covariance=square, twist=(3,), twists=(PARTS, 3), acceleration=(3,))
         freeze_arrays(self, bias_covariance=square, drift_covariance=square, since_tare=pair, yaw=pair)
-        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, seen=(9, 10), tool_tilt=(2, 6))
+        freeze_arrays(self, poses=(PARTS, 3), from_sensor=square, camera_errors=(9, 10), tool_tilt=(2, 6))
         freeze_arrays(self, turned=(PARTS, None, 3), turned_errors=(None, 3, 4))
         if self.point is not None:
             freeze_arrays(self, point=pair)

@@ -12,8 +12,8 @@ from testbed.actions.push import LEAST_CONTACT
 from testbed.errors import InvalidValueError
 from testbed.objects.model import ObjectShape
 from testbed.robot.camera.interface import BLIND, CameraLostError
+from testbed.sensing.camera_poses import APART, frame_mismatch
 from testbed.sensing.push_windows import TRIM_END, touching
-from testbed.sensing.seen import APART, frame_mismatch
 from testbed.trajectory import Phase, Status, Trajectory
 
 

@@ -131,9 +131,13 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     truth = at_truth(model, unknowns)
     off = planned.linearized(unknowns, truth).residual.reshape(planned.read.shape)
     windows = planned.windows
-    still = windows.links[:, None].expand_as(windows.links_off)
+    still = windows.links[:, None].expand_as(windows.links_with_errors)
     windows = replace(
-        windows, bias=0 * windows.bias, noise=1e-9 * windows.noise, seen=0 * windows.seen, links_off=still
+        windows,
+        bias=0 * windows.bias,
+        noise=1e-9 * windows.noise,
+        camera_errors=0 * windows.camera_errors,
+        links_with_errors=still,
     )
     measured = OnTable(model.shape, windows, planned.table, planned.whole, planned.patterns, SHARP)
     measured.__dict__["read"] = planned.read + off

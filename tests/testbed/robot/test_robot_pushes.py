@@ -50,7 +50,7 @@ def test_a_push_measures_what_the_simulation_does(push, tmp_path):
         assert_allclose(window.wrench[:2], same.wrench[:2], atol=0.35)
         assert window.point is not None and same.point is not None
         assert_allclose(window.point, same.point, atol=2e-3)
-        claimed = np.linalg.norm(window.seen[3:5], axis=1)
+        claimed = np.linalg.norm(window.camera_errors[3:5], axis=1)
         assert_allclose((window.twist - same.twist)[:2] / (claimed + 1e-3), 0, atol=3.5)
     moving = real.mask(Phase.RAMP, Phase.STEADY)
     assert_allclose(real.tcp_position[moving][0], usual.tcp_position[usual.mask(Phase.RAMP)][0], atol=2e-3)

@@ -9,7 +9,7 @@ import pytest
 from estimators.testing.analytic_world import analytic_trial, record
 from testbed import Rotate, draw_sensing, load_object, load_trajectory, preset, save_trajectory
 from testbed.sensing.camera import CAMERAS, Camera, PoseStream, draw_camera
-from testbed.sensing.seen import frame_mismatch
+from testbed.sensing.camera_poses import frame_mismatch
 
 TIME = np.arange(600) / 100
 

@@ -35,7 +35,7 @@ _MEDIAN_OF_SECOND = 0.6745 * math.sqrt(6)
 """Median size of second differences of white noise, over its standard deviation."""
 
 
-def as_seen(record: Trajectory) -> Trajectory:
+def with_camera_poses(record: Trajectory) -> Trajectory:
     """Record with the object's poses by its camera if the hand does not hold it; at rest where frames were lost.
 
     Without a camera, or without frames, it is the record itself.

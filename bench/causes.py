@@ -18,7 +18,7 @@ import numpy as np
 from honesty import LAB, drawn, trials
 from shared import head_table, parser_of, pooled, show
 
-from estimators.posterior.diagnosis import DECISIVE, WIDER, Diagnosis, diagnose
+from estimators.posterior.diagnosis import DECISIVE, ENLARGED, Diagnosis, diagnose
 from testbed.worlds.setup_errors import PARAMETERS
 
 FAULTS = (
@@ -75,7 +75,7 @@ def diagnosed(job: tuple[str, int], seed: int) -> Found:
     fault, index = job
     obj, setup = drawn(index, seed, "random"), LAB
     if fault != NONE:
-        setup = replace(LAB, **{fault: WIDER * getattr(LAB, fault)})
+        setup = replace(LAB, **{fault: ENLARGED * getattr(LAB, fault)})
     rng = OfSize(np.random.PCG64([seed, index]))
     made, weight = trials(obj, "random", setup, LAB, rng)
     found = diagnose(obj.shape, weight, made)
@@ -108,7 +108,7 @@ def main() -> None:
             sum(row.named == fault for row in part),
             sum(row.named not in ("", fault) for row in part),
         ]
-        sizes = [WIDER * getattr(LAB, fault), float(np.nanmedian([row.size for row in part]))]
+        sizes = [ENLARGED * getattr(LAB, fault), float(np.nanmedian([row.size for row in part]))]
         shown = [PARAMETERS[fault].formatted(size) for size in sizes]
         table.add_row(fault, *map(str, counts), f"{np.nanmedian([row.odds for row in part]):.1f}", *shown)
     lines: list[Any] = [table]

@@ -112,7 +112,7 @@ def policies(options: argparse.Namespace) -> None:
             print(f"{count} of {len(asked)} objects, {time.perf_counter() - begin:.0f} s", flush=True)
             if options.rows is not None:
                 write_text(options.rows, json.dumps(rows))
-    _told(rows)
+    _show(rows)
 
 
 def _runs(model: ObjectModel, sensing_name: str, draws: int, kinds: Sequence[str]) -> list[dict[str, Any]]:
@@ -206,7 +206,7 @@ def _at(rows: Sequence[dict[str, Any]], seconds: float) -> float:
     return done[-1] if done else math.nan
 
 
-def _told(rows: list[dict[str, Any]]) -> None:
+def _show(rows: list[dict[str, Any]]) -> None:
     """NAD over time, the time to the NAD of the rank-driven policies, and expected over achieved."""
     objects, kinds = (list(dict.fromkeys(row[key] for row in rows)) for key in ("object", "policy"))
     run = {(o, k): [r for r in rows if (r["object"], r["policy"]) == (o, k)] for o in objects for k in kinds}

@@ -21,7 +21,7 @@ from shared import head_table, parser_of, pooled, show
 
 from estimators.particles.misfit import UNEXPLAINED
 from estimators.particles.observe import observe
-from estimators.posterior.estimator import PLAUSIBLE
+from estimators.posterior.estimator import START_FRICTION
 from estimators.posterior.on_table import OnTable
 from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
@@ -83,7 +83,7 @@ def ranks(problem: Problem, seed: int) -> np.ndarray:
     scale = Scale(weight + weighing.error * rng.standard_normal(), weighing)
     measurements = [replace(on_table, windows=replace(windows, sensed=sensed)), scale]
     drag = float(read[:, :2].norm(dim=1).max()) / (weight * GRAVITY)
-    start = unknowns.start(friction=float(np.clip(drag, *PLAUSIBLE)))
+    start = unknowns.start(friction=float(np.clip(drag, *START_FRICTION)))
     posterior = Posterior(unknowns, measurements, solve(measurements, unknowns, start))
     mass, friction = posterior.draws(obj.shape, DRAWS, seed)
     truth = np.append(values["mass"].numpy() * obj.shape.particles_per_group, values["friction"].numpy())

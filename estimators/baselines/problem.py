@@ -20,7 +20,7 @@ from estimators.hidden_states.masses import one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE, observe
+from estimators.particles.observe import HAS_HINGES, NO_DATA, ONE_BODY, observe
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
@@ -91,7 +91,7 @@ class Problem:
         known = weighed(shape, weight) if use_weight else None
         check_shape(shape)
         if shape.chain is not None and not takes_links:
-            return Estimate(None, "assumption_violated", ONE_PIECE)
+            return Estimate(None, "assumption_violated", HAS_HINGES)
         if support != "rigid" and not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
         windows = observe(shape, trajectories, errors)

@@ -25,7 +25,7 @@ from estimators.hidden_states.friction import CONTRADICTORY
 from estimators.hidden_states.masses import SMALLEST_PART, feet_of, inertia_map
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import rank_of, weight_per_mass
-from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
+from estimators.particles.observe import HAS_HINGES, NO_DATA, ONE_BODY
 from estimators.particles.windows import Observations
 from estimators.wrench.model import Inertia, ModelErrors, acceleration, inertia_of, rotate, step, turned
 from estimators.wrench.support import ASSUMPTION, own_weight
@@ -82,7 +82,7 @@ class PublishedHiddenStates:
         begin = time.perf_counter()
         weight = weighed(shape, weight)
         if shape.chain is not None:
-            return Estimate(None, "assumption_violated", ONE_PIECE)
+            return Estimate(None, "assumption_violated", HAS_HINGES)
         if not shape.stands_in_groups:
             return Estimate(None, "assumption_violated", ONE_BODY)
         trials = TrialWindows.of(shape, weight, trajectories, ModelErrors())

@@ -180,7 +180,7 @@ def _trailing(shape: ObjectShape, whole: Planned, turned: Float[np.ndarray, "N L
             turned=part_means(turned[part]),
             turned_errors=np.array(errors),
         )
-        if not LinkMotion(shape, planned).is_unsteady:
+        if not LinkMotion(shape, planned).may_rest:
             windows.append(planned)
     return windows
 

@@ -20,7 +20,7 @@ from estimators.learned.checkpoint import COMMAND, FALSE_ALARM, LEAST_FREEDOM, C
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import MISFIT, SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
-from estimators.particles.observe import NO_DATA, ONE_BODY, ONE_PIECE
+from estimators.particles.observe import HAS_HINGES, NO_DATA, ONE_BODY
 from estimators.posterior.scale import Weighing
 from estimators.wrench.support import ASSUMPTION, ERRORS
 from testbed.errors import InvalidValueError
@@ -170,7 +170,7 @@ def _unlike(shape: ObjectShape, trajectories: Sequence[Trajectory], learned: Che
     other = sorted({trial.action.kind for trial in used if not trial.action.turns})
     stated = SetupErrors.largest([EXACT_SETUP, *(trial.setup for trial in used)])
     found = {
-        ONE_PIECE: shape.chain is not None,
+        HAS_HINGES: shape.chain is not None,
         ONE_BODY: not shape.stands_in_groups,
         "not learned: feet of known places, and meshes": shape.stands_on_feet or shape.is_uneven,
         f"not learned: {shape.n_mu} frictions, only one": shape.n_mu > 1,

@@ -55,7 +55,7 @@ def link_errors(windows: Observations, sum_of_drag: Float[Tensor, "K 3+H"]) -> F
             hinges.
     """
     # windows of a trial share the error of their drag
-    alike = windows.together.sum(1).sqrt()[:, None]
+    alike = windows.same_trial.sum(1).sqrt()[:, None]
     wrench, hinge = sum_of_drag[:, :3], sum_of_drag[:, 3:]
     # a hinge that may be at rest has a row of zeros, which needs some error
     off = HINGE_ERROR * hinge * alike + windows.standing.double() + LEAST_ERROR

@@ -132,7 +132,7 @@ class LinkMotion:
     """Measured or planned window."""
 
     @property
-    def is_unsteady(self) -> bool:
+    def may_rest(self) -> bool:
         """True if part of a link is at rest, where friction is indeterminate, or if a link starts or stops."""
         chain = self.shape.chain
         assert chain is not None and self.window.grasp is not None

@@ -21,7 +21,7 @@ from testbed.sensing.windows import SteadyWindow, check_trials, reduced_trials, 
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import SetupErrors
 
-ONE_PIECE = (
+HAS_HINGES = (
     "an object with hinges, which this method takes for one piece: hidden_states, bayes and least_squares know links"
 )
 """Message of a method that takes no articulated object."""
@@ -106,7 +106,7 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
 def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWindow]:
     if shape.chain is not None:
         windows = [] if trajectory.action.accelerated else link_windows(trajectory)
-        return [window for window in windows if not LinkMotion(shape, window).is_unsteady]
+        return [window for window in windows if not LinkMotion(shape, window).may_rest]
     return (push_windows if trajectory.action.pushes else steady_windows)(trajectory)
 
 

@@ -103,7 +103,7 @@ class Observations(Motion):
         return self.noise[:, PLANAR][:, :, PLANAR]
 
     @property
-    def together(self) -> Float[Tensor, "K K"]:
+    def same_trial(self) -> Float[Tensor, "K K"]:
         """1 for pairs of windows of the same trial, else 0."""
         return (self.trial[:, None] == self.trial).double()
 
@@ -243,7 +243,7 @@ class Observations(Motion):
         moved = height / 2 * table.motion(mass)[:, :2]
         # only the kept parts of the tilt contain the inertial moment; at constant speed it is the same both ways
         kept, followed = self.load_kept[:, 1:], self.load_followed[:, 1:]
-        mean = self.together / self.together.sum(1, keepdim=True)  # over the windows of each trial
+        mean = self.same_trial / self.same_trial.sum(1, keepdim=True)  # over the windows of each trial
         change = torch.eye(len(self), dtype=torch.float64) - mean
         swung = kept * (mean @ moved) + followed * (change @ moved)
         taken = torch.where(self.accelerated[:, None] | self.articulated, swung, kept * moved)

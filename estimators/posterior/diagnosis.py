@@ -20,7 +20,7 @@ from testbed.objects.model import ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.worlds.setup_errors import LIKELY, PARAMETERS, SetupErrors
 
-WIDER = 3.0
+ENLARGED = 3.0
 """Factor on the stated size of an error at which it is tried as the cause. Ours."""
 DECISIVE = 3.0
 """Decimal logarithm of the odds above which a cause is named: errors of the simulation itself reach 2. Ours."""
@@ -181,9 +181,9 @@ def _ranked_causes(
     """Causes by a fit each, with one error of the setup larger than stated; the highest odds first."""
     stated, causes = SetupErrors.largest([trial.setup for trial in trajectories]), []
     for name in PARAMETERS:
-        tried = max(WIDER * getattr(stated, name), getattr(LIKELY, name))
+        tried = max(ENLARGED * getattr(stated, name), getattr(LIKELY, name))
         if name == "contact_points" and stated.contact_points:
-            tried = stated.contact_points / WIDER  # fewer points are a larger error
+            tried = stated.contact_points / ENLARGED  # fewer points are a larger error
         if not tried:
             continue
         enlarged = replace(stated, **{name: tried})
@@ -197,7 +197,7 @@ def _ranked_causes(
 
 
 def larger_than_stated(posterior: Posterior, setup: SetupErrors) -> tuple[Cause, ...]:
-    """Causes by the odds of each stated error being `WIDER` times as large, the others as in the posterior.
+    """Causes by the odds of each stated error being `ENLARGED` times as large, the others as in the posterior.
 
     The likelihood is approximated by a normal one about the most likely unknowns.
     """
@@ -205,7 +205,7 @@ def larger_than_stated(posterior: Posterior, setup: SetupErrors) -> tuple[Cause,
     for name in PARAMETERS:
         if name in posterior.unknowns.blocks:
             evidence = _Evidence.of(posterior, name, setup)
-            causes.append(_cause(evidence, evidence.log_evidence(WIDER) - evidence.log_evidence(1.0), WIDER))
+            causes.append(_cause(evidence, evidence.log_evidence(ENLARGED) - evidence.log_evidence(1.0), ENLARGED))
     return tuple(sorted(causes, key=lambda cause: -cause.odds))
 
 

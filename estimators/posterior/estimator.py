@@ -28,7 +28,7 @@ from testbed.trajectory import Trajectory
 from testbed.worlds.parameters import FULL_SCALE
 from testbed.worlds.setup_errors import SetupErrors
 
-PLAUSIBLE = 0.01, 2.0
+START_FRICTION = 0.01, 2.0
 """Least and greatest friction at which a search starts."""
 
 
@@ -116,7 +116,7 @@ def posterior_of(
         unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
     measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]
     measurements += [InAir.of(shape, trial, each, weight) for trial, each in lifts.items()]
-    known: dict[str, Tensor | float] = {"friction": float(np.clip(windows.drag / (weight * GRAVITY), *PLAUSIBLE))}
+    known: dict[str, Tensor | float] = {"friction": float(np.clip(windows.drag / (weight * GRAVITY), *START_FRICTION))}
     known |= {} if near is None else near.unknowns.values(near.optimum.z)
     known["rigid_share"] = rigid_share
     start = unknowns.start(**{name: value for name, value in known.items() if name in unknowns.blocks})

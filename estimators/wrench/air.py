@@ -65,7 +65,7 @@ class Matter:
         """The bodies rotated about the point."""
         return Matter(self.mass, self.first @ rotation.T, rotation @ self.second @ rotation.T)
 
-    def together(self) -> Matter:
+    def combined(self) -> Matter:
         """Sum of the bodies, as one body."""
         return Matter(self.mass.sum(0), self.first.sum(0), self.second.sum(0))
 
@@ -118,7 +118,7 @@ class Air:
             bodies = groups.times(theta["mass"])
             if "particle_offset" in theta:
                 bodies = bodies.shifted(pad(theta["particle_offset"], (0, 1)))
-            return bodies.together()
+            return bodies.combined()
 
         return Air.of(shape, windows, matter)
 

@@ -125,7 +125,7 @@ def calibrate(
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.recorded_poses import recorded_poses
     from testbed.robot.calibration.static_poses import calibrate as fit
-    from testbed.robot.calibration.static_poses import in_words
+    from testbed.robot.calibration.static_poses import sentences
     from testbed.toml import load_toml
 
     poses, left_out = recorded_poses(log, mapping)
@@ -133,7 +133,7 @@ def calibrate(
     print(f"{len(poses)} poses, misfit {found.misfit:.2g} in place of 1")
     if left_out:
         print(f"left out of the wrench: {left_out}")
-    for sentence in in_words(found):
+    for sentence in sentences(found):
         print(sentence)
     save_calibration(out, found, sensor, f"{datetime.now(UTC):%Y-%m-%d}")
     print(out)

@@ -124,7 +124,7 @@ def check_code(scenario: Scenario, *, foreign: bool = True) -> None:
                 raise InvalidValueError(f"{name}.{error.field}", error.given, error.allowed) from None
 
 
-def in_words(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Duration in seconds, or from two minutes on in minutes."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
@@ -155,7 +155,7 @@ def show_dry_run(console: Console, scenario: Scenario, folder: Path, workers: in
     )
     on = max(workers, 1)
     console.print(
-        f"about {in_words(size.seconds / on)} on {on} worker(s), {in_words(size.seconds)} of computing; into "
+        f"about {duration(size.seconds / on)} on {on} worker(s), {duration(size.seconds)} of computing; into "
         f"{folder}/, where finished trials and estimates are kept",
     )
     if size.unknown:

@@ -139,7 +139,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
     if held is None or not (folder / "results.parquet").is_file():
         return
     asked = json.loads(json.dumps(scenario.model_dump()))
-    other = [field for field in held if not _asked_again(field, held[field], asked.get(field))]
+    other = [field for field in held if not _includes(field, held[field], asked.get(field))]
     kept = found.get("secret", "")
     if not kept or secret not in (None, kept):
         other.append("secret" if kept else "measured trials, or draws without a secret by heft 0.1.0")
@@ -151,7 +151,7 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
         raise InvalidValueError("--out", str(folder), allowed)
 
 
-def _asked_again(field: str, held: Any, asked: Any) -> bool:
+def _includes(field: str, held: Any, asked: Any) -> bool:
     """True if a field includes all that the results hold: objects, methods, seeds and points may be added."""
     if field == "seeds":
         return held <= asked

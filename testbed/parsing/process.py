@@ -51,13 +51,13 @@ def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
     seconds = SECONDS + SECONDS_PER_MB * size // 10**6
     with TemporaryDirectory(prefix="heft_") as folder:
         result = Path(folder) / "result"
-        code, said = ended(module, (str(path), *words, str(result)), seconds)
+        code, said = start_parser(module, (str(path), *words, str(result)), seconds)
         if code:
             _refuse(code, said, seconds)
         yield result
 
 
-def ended(module: str, words: Sequence[str], seconds: int) -> tuple[int, str]:
+def start_parser(module: str, words: Sequence[str], seconds: int) -> tuple[int, str]:
     """Exit code and error output of a parser in a process of its own."""
     environment = os.environ | {_LIMITS: str(seconds), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-P", "-m", module, *words]

@@ -15,7 +15,7 @@ from testbed.validation import check_positive, frozen_array
 
 GAIN_ERROR = 0.02
 """Allowed relative error of a known mass; chosen here, since the manufacturer states no figure."""
-TOO_UNSURE = 3
+SIGNIFICANT = 3
 """Standard errors within which two values agree."""
 
 
@@ -77,7 +77,7 @@ def check_known_mass(weighing: Weighing, mass: float) -> tuple[Verdict, str]:
         f"{weighing.mass * GRAVITY:.2f} +- {weighing.standard_error * GRAVITY:.2f} N where {mass:g} kg weighs "
         f"{mass * GRAVITY:.2f} N"
     )
-    uncertainty = TOO_UNSURE * error
+    uncertainty = SIGNIFICANT * error
     if uncertainty > GAIN_ERROR:
         more = f"measure longer, or take {mass * uncertainty / GAIN_ERROR:.1f} kg or more"
         return "unsure", f"{measured}: the scatter hides {GAIN_ERROR:.0%}: {more}"
@@ -101,11 +101,11 @@ def held_center(
         covariance: covariance of that wrench, shape (6, 6).
 
     Raises:
-        InvalidValueError: no object is held: the upward force is within `TOO_UNSURE` standard errors of zero.
+        InvalidValueError: no object is held: the upward force is within `SIGNIFICANT` standard errors of zero.
     """
     w = frozen_array("held_center.wrench", wrench, (6,))
     spread = frozen_array("held_center.covariance", covariance, (6, 6))
-    if not w[2] > TOO_UNSURE * np.sqrt(spread[2, 2]):
+    if not w[2] > SIGNIFICANT * np.sqrt(spread[2, 2]):
         raise InvalidValueError("held_center.wrench", w[:3].tolist(), "a force that points up: an object that is held")
     offset = np.array([-w[4], w[3]]) / w[2]
     slopes = np.zeros((2, 6))

@@ -18,7 +18,7 @@ from scenarios.results.store import Store
 from scenarios.study.dry_run import show_dry_run
 from scenarios.study.experiment import experiments_of
 from scenarios.study.meshes import stated_inertia, with_meshes
-from scenarios.study.run import _asked_again
+from scenarios.study.run import _includes
 from testbed import HeftError, InfeasibleTrialError, Push, load_object
 from tests.helpers.commands import ended, refusal
 from tests.helpers.meshes import box, together
@@ -189,5 +189,5 @@ def test_a_dry_run_names_what_is_left_out_and_fails_where_all_is(tmp_path, capsy
 def test_results_of_drawn_objects_are_those_of_a_scenario_with_a_newer_field():
     held = [{"name": "drawn", "count": 3, "seed": 1}]
     asked = [held[0] | {"feet_m": None}]
-    assert _asked_again("random", held, asked)
-    assert not _asked_again("random", held, [asked[0] | {"feet_m": [[0.0, 0.0]]}])
+    assert _includes("random", held, asked)
+    assert not _includes("random", held, [asked[0] | {"feet_m": [[0.0, 0.0]]}])

@@ -43,7 +43,7 @@ def calibrate(
     """
     from testbed.robot.calibration.file import save_calibration
     from testbed.robot.calibration.static_poses import calibrate as fit
-    from testbed.robot.calibration.static_poses import in_words
+    from testbed.robot.calibration.static_poses import sentences
     from testbed.robot.registry import build_arm, build_sensor, load_robot_file
     from testbed.validation import check_positive
 
@@ -55,7 +55,7 @@ def calibrate(
         arm = stack.enter_context(build_arm(file))
         print("Bring the arm into a pose by its joystick, wait until it stands, press Enter; q and Enter when done.")
         found = fit(_poses(arm, sensor, seconds))
-        for sentence in in_words(found):
+        for sentence in sentences(found):
             print(sentence)
         save_calibration(path, found, sensor.identity.serial, f"{datetime.now(UTC):%Y-%m-%d}")
     print(path)

@@ -364,32 +364,32 @@ def _fit(poses: Sequence[StaticPose], sign: int, gain_error: float, errors: _Err
     return fit
 
 
-def in_words(calibration: Calibration) -> list[str]:
+def sentences(calibration: Calibration) -> list[str]:
     """Results of a calibration, a sentence each: sign, rotation, tool, gains, and warnings."""
     c = calibration
     turn, mirrored = _turn_in_words(Rotation.from_quat(c.sensor_in_hand, scalar_first=True))
-    sentences = []
+    lines = []
     if c.sign < 0:
         also = f" (the same thing: its {mirrored} axis is mirrored)" if mirrored else ""
-        sentences.append(f"the sensor reports what the tool does to the arm: set sign = -1{also}")
-    sentences.append(f"the sensor is {turn} +- {np.degrees(c.sensor_in_hand_std.max()):.2g} deg")
+        lines.append(f"the sensor reports what the tool does to the arm: set sign = -1{also}")
+    lines.append(f"the sensor is {turn} +- {np.degrees(c.sensor_in_hand_std.max()):.2g} deg")
     com = ", ".join(f"{1e3 * x:.1f} +- {1e3 * s:.2g}" for x, s in zip(c.com, c.com_std, strict=True))
-    sentences.append(f"the tool weighs {c.mass:.4f} +- {c.mass_std:.2g} kg; its center is at {com} mm")
+    lines.append(f"the tool weighs {c.mass:.4f} +- {c.mass_std:.2g} kg; its center is at {com} mm")
     if c.gain_std.any():
         each = ", ".join(f"{g:.4f} +- {s:.2g}" for g, s in zip(c.gain, c.gain_std, strict=True))
-        sentences.append(f"gains of the six axes, as far as the poses determine them: {each}")
+        lines.append(f"gains of the six axes, as far as the poses determine them: {each}")
     if c.bias_walk.any():
         force, torque = c.bias_walk[:3].max(), c.bias_walk[3:].max()
-        sentences.append(
+        lines.append(
             f"the bias walks by up to {force:.2g} N and {torque:.2g} N m from pose to pose, as of a sensor that warms "
             "up: the standard deviations allow for it; let the sensor warm up for a smaller error"
         )
     elif c.misfit > MISFIT:
-        sentences.append(
+        lines.append(
             f"the readings scatter {np.sqrt(c.misfit):.1f} times as much as their noise: a cable that pulls, "
             "a sensor not yet warm, or poses not at rest; the standard deviations allow for it"
         )
-    return sentences
+    return lines
 
 
 def _turn_in_words(rotation: Rotation) -> tuple[str, str]:

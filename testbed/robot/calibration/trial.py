@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from testbed.frames import cross_2d
 from testbed.objects.model import GRAVITY
-from testbed.robot.weighing import TOO_UNSURE, held_center
+from testbed.robot.weighing import SIGNIFICANT, held_center
 from testbed.sensing.windows import SteadyWindow
 from testbed.validation import check_positive, frozen_array
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
@@ -102,21 +102,21 @@ def check_trial(
 def _of_lift(wrench: np.ndarray, covariance: np.ndarray, mass: float | None) -> list[Finding]:
     weight, error = float(wrench[2]), float(np.sqrt(covariance[2, 2]))
     text = f"the lifted object is held by {weight:.2f} +- {error:.2f} N upwards"
-    if weight < -TOO_UNSURE * error:
+    if weight < -SIGNIFICANT * error:
         why = "it cannot hang upwards: sign is the wrong one, or the sensor is mounted upside down"
         return [Finding("weight", False, weight, f"{text}: {why}")]
-    if weight < TOO_UNSURE * error:
+    if weight < SIGNIFICANT * error:
         return [Finding("weight", False, weight, f"{text}: nothing was lifted")]
     findings = [Finding("weight", True, weight, text)]
     if mass is not None:
         check_positive("check_trial.mass", mass)
         off, spread = weight / GRAVITY / mass - 1, error / GRAVITY / mass
-        ok = abs(off) <= MASS_ALLOWED + TOO_UNSURE * spread
+        ok = abs(off) <= MASS_ALLOWED + SIGNIFICANT * spread
         text = f"{weight / GRAVITY:.3f} kg where it has {mass:g} kg ({100 * off:+.1f} +- {100 * spread:.1f} %)"
         findings.append(judged("mass", ok, off, text, "check the gain by a known mass"))
     tilt = float(np.arctan2(np.linalg.norm(wrench[:2]), weight))
     spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) / weight)
-    ok = tilt <= TILT_ALLOWED + TOO_UNSURE * spread
+    ok = tilt <= TILT_ALLOWED + SIGNIFICANT * spread
     text = f"its weight leans by {np.degrees(tilt):.1f} +- {np.degrees(spread):.1f} deg"
     findings.append(judged("vertical", ok, tilt, text, "the sensor's rotation is off, or something touched the object"))
     return findings
@@ -126,7 +126,7 @@ def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) ->
     held, spread = held_center(wrench, covariance)
     off = float(np.linalg.norm(held - center))
     error = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-    ok = off <= LEVER_ALLOWED + TOO_UNSURE * error
+    ok = off <= LEVER_ALLOWED + SIGNIFICANT * error
     at = ", ".join(f"{1e3 * value:.1f}" for value in held)
     text = f"it hangs ({at}) mm from the TCP, {1e3 * off:.1f} +- {1e3 * error:.1f} mm from where it should"
     why = "the TCP's place in the sensor's frame is off, or the rotation about the tool's axis"
@@ -139,9 +139,9 @@ def _of_work(window: SteadyWindow) -> Finding:
     error = float(np.sqrt(window.twist @ window.covariance[np.ix_(PLANAR, PLANAR)] @ window.twist))
     kind = "slide" if abs(window.twist[2]) < SLIDING else f"turn at {np.degrees(window.twist[2]):+.0f} deg/s"
     text = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
-    wrong = power < -TOO_UNSURE * error
+    wrong = power < -SIGNIFICANT * error
     why = "friction would have to push; sign or rotation is wrong" if wrong else "too little to decide"
-    return judged("friction", power > TOO_UNSURE * error, power, text, why)
+    return judged("friction", power > SIGNIFICANT * error, power, text, why)
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
@@ -149,7 +149,7 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
     ratio = float(abs(constant)) / max(float(abs(reversing)), 1e-9)
     tare_error = float(np.sqrt(there.bias_covariance[5, 5]))  # as the sensor states it
-    ok = abs(constant) <= BIAS_ALLOWED * abs(reversing) + TOO_UNSURE * math.hypot(error, tare_error)
+    ok = abs(constant) <= BIAS_ALLOWED * abs(reversing) + SIGNIFICANT * math.hypot(error, tare_error)
     text = f"turned there and back, {reversing:.4f} N m flips and {constant:.4f} +- {error:.4f} N m stays"
     return judged("there and back", ok, ratio, text, "a bias that the tare left, or a cable that pulls")
 
@@ -161,7 +161,7 @@ def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     # friction that differs by a along two axes of the table turns its force by up to 2 a
     lean = setup.table_tilt / LEAST_FRICTION
     deviation = float(np.linalg.norm([error, setup.mounting_angle, 2 * setup.anisotropy, setup.friction_law, lean]))
-    ok = abs(angle) <= TURN_ALLOWED + TOO_UNSURE * deviation
+    ok = abs(angle) <= TURN_ALLOWED + SIGNIFICANT * deviation
     text = f"slide: the force points {np.degrees(angle):+.1f} +- {np.degrees(error):.1f} deg off the motion"
     turn = f"{-np.degrees(angle):+.0f} deg about the vertical, {np.degrees(angle):+.0f} about a z axis that points down"
     against = "sign is the other one; else " if abs(angle) > _AGAINST else ""

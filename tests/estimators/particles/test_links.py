@@ -90,7 +90,7 @@ def test_a_window_in_which_a_link_may_rest_by_the_errors_of_the_camera_is_unstea
     """The other link rests; its rate is measured as 0.2 rad/s."""
     turned, errors = np.zeros((PARTS, 2, 3)), np.zeros((2, 3, 4))
     turned[:, :, 1], errors[1, 1, 0] = (0.5, 0.2), error
-    assert LinkMotion(TWO.shape, planned(turned=turned, turned_errors=errors)).is_unsteady == unsteady
+    assert LinkMotion(TWO.shape, planned(turned=turned, turned_errors=errors)).may_rest == unsteady
 
 
 def test_hinges_join_links_and_rates_are_those_of_places():

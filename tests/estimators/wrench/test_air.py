@@ -68,7 +68,7 @@ def test_the_wrench_of_given_masses_obeys_newton_and_is_linear_in_them():
 def test_a_body_is_its_groups_together():
     vectors = [part.vector * size for part, size in zip(column_parts(OBJECT.shape), OBJECT.group_mass, strict=True)]
     body = Matter.of_vector(torch.tensor(np.sum(vectors, axis=0)))
-    groups = Matter.of_groups(OBJECT.shape).times(MASS).together()
+    groups = Matter.of_groups(OBJECT.shape).times(MASS).combined()
     for name in ("mass", "first", "second"):
         assert_allclose(getattr(body, name), getattr(groups, name), atol=1e-12)
 

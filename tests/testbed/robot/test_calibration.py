@@ -29,7 +29,7 @@ from testbed.robot.calibration.static_poses import (
     CalibrationError,
     StaticPose,
     calibrate,
-    in_words,
+    sentences,
     static_pose,
 )
 from testbed.robot.interfaces import Pose
@@ -96,7 +96,7 @@ def test_a_bias_that_walks_is_found_and_counted(step: float):
         walks = np.array([each.bias_walk for each in found])
         assert_allclose(np.median(walks, axis=0), step * np.repeat([1.0, 0.01], 3), rtol=0.4)
         assert max(abs(each.mass - MASS) for each in found) < 0.012
-        assert any("the bias walks by up to" in line for line in in_words(found[0]))
+        assert any("the bias walks by up to" in line for line in sentences(found[0]))
     else:
         assert not any(each.bias_walk.any() for each in found)
 
@@ -105,8 +105,8 @@ def test_scatter_beyond_the_stated_noise_increases_all_errors_but_the_stated_one
     honest, shaky = (calibrate(readings(MOUNTS[0], noise=n, seed=3)) for n in (1.0, 10.0))
     assert honest.misfit < 3 < shaky.misfit
     assert shaky.mass_std / honest.mass_std == pytest.approx(np.sqrt(shaky.misfit / max(honest.misfit, 1)), rel=0.1)
-    assert any("times as much as their noise" in line for line in in_words(shaky))
-    assert not any("times as much" in line for line in in_words(honest))
+    assert any("times as much as their noise" in line for line in sentences(shaky))
+    assert not any("times as much" in line for line in sentences(honest))
     found = calibrate(readings(MOUNTS[0], noise=10.0, seed=3), gain_error=0.02)
     assert found.misfit > 3
     assert (found.gain_std < 0.02).all()
@@ -157,7 +157,7 @@ def test_the_grippers_data_sheet_is_the_simulated_gripper(width: float):
     ],
 )
 def test_it_says_in_words_how_the_sensor_sits(turn: tuple[float, ...], sign: int, said: list[str]):
-    words = "; ".join(in_words(calibrate(readings(Rotation.from_rotvec(turn, degrees=True), sign))))
+    words = "; ".join(sentences(calibrate(readings(Rotation.from_rotvec(turn, degrees=True), sign))))
     for sentence in said:
         assert sentence in words
     assert ("sign = -1" in words) == (sign < 0)
@@ -168,7 +168,7 @@ def test_a_mirrored_axis_is_recognised():
     flip = np.array([1, 1, -1, 1, 1, -1])
     mirrored = [StaticPose(p.hand, flip * p.wrench, p.standard_error) for p in readings(MOUNTS[0])]
     found = calibrate(mirrored)
-    words = "; ".join(in_words(found))
+    words = "; ".join(sentences(found))
     assert "its z axis is mirrored" in words
     # and what it says to do works: readings become what the arm does to the tool
     mount = Rotation.from_quat(found.sensor_in_hand, scalar_first=True)
@@ -230,7 +230,7 @@ def test_a_file_restores_the_calibration(tmp_path: Path, mounted: Calibration):
     scaled = replace(mounted, gain=np.array([1.02, 1, 1, 1, 1, 1]))
     walked = calibrate(walking(1, 0.1))
     assert walked.bias_walk.all() and abs(walked.mass - MASS) < 0.012
-    assert any("the bias walks by up to" in line for line in in_words(walked))
+    assert any("the bias walks by up to" in line for line in sentences(walked))
     path = tmp_path / "new" / "mount.toml"
     for found in (scaled, walked):
         save_calibration(path, found, "FSC-1234", "2026-01-31")

@@ -223,6 +223,17 @@ def test_center_and_inertia_come_back_from_pivots_off_one_row(seed):
     assert found.unobserved == ""
 
 
+def test_the_answer_obeys_the_parallel_axis_theorem_and_moves_with_the_frame():
+    pivots = pivots_about(OBJECT, OFF_ROW)
+    found = com_and_inertia(pivots, OBJECT.total_mass)
+    squares = np.sum((OFF_ROW - found.center_of_mass) ** 2, axis=1)
+    assert_allclose(found.inertia_cm + OBJECT.total_mass * squares, pivots.inertia)
+    turn, shift = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([0.3, -0.2])
+    moved = com_and_inertia(replace(pivots, pivot=OFF_ROW @ turn.T + shift), OBJECT.total_mass)
+    assert_allclose(moved.center_of_mass, turn @ found.center_of_mass + shift, atol=1e-10)
+    assert moved.inertia_cm == pytest.approx(found.inertia_cm)
+
+
 def test_a_pivot_known_badly_hardly_counts():
     pivots = pivots_about(OBJECT, OFF_ROW)
     wrong = replace(pivots, inertia=pivots.inertia * [1, 1, 1, 2], variance=np.array([1e-12, 1e-12, 1e-12, 1.0]))

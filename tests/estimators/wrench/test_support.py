@@ -219,6 +219,21 @@ def test_the_object_level_parameters_are_those_of_the_object():
     assert_allclose(INERTIA.about_com, OBJECT.inertia_cm)
 
 
+@pytest.mark.parametrize(
+    ("velocity", "wrench", "grasp", "expected"),
+    [
+        ((0.1, 0.2, 1.0), (0, 0, 0), (0.02, 0.01), (0, 0, 0)),
+        ((0, 0, 0), (2.0, -1.0, 0.0), None, (2 / OBJECT.total_mass, -1 / OBJECT.total_mass, 0)),
+        ((0, 0, 0), (0, 0, 0.3), (0.05, 0.0), (0, 0, 0.3 / OBJECT.inertia_cm)),
+    ],
+    ids=["free", "push at c", "couple"],
+)
+def test_a_push_at_the_center_only_pushes_and_a_couple_only_turns(velocity, wrench, grasp, expected):
+    at = INERTIA.com if grasp is None else tensor(*grasp)
+    a = acceleration(MODEL, INERTIA, 0 * PARTICLE, tensor(0, 0, 0.7), tensor(*velocity), tensor(*wrench), at)
+    assert_allclose(a, expected, atol=1e-12)
+
+
 def test_friction_takes_power_and_turning_the_world_turns_the_answer():
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -244,6 +259,21 @@ def test_gradients_of_the_one_step_model_are_right():
 
     point = [each.clone().requires_grad_() for each in (MASS, FRICTION, velocity, pose)]
     assert torch.autograd.gradcheck(one, point)
+
+
+def test_a_sliding_object_of_one_friction_slows_by_mu_g_and_does_not_turn():
+    obj = load_object("L2")
+    model = ParticleModel.of(obj.shape)
+    particle = model.particle_mass(torch.tensor(obj.truth.mass))
+    drag = 0.5 * particle * GRAVITY
+    a = acceleration(model, inertia_of(model, particle), drag, STILL, tensor(0.3, -0.4, 0), STILL, STILL[:2])
+    assert_allclose(a, 0.5 * GRAVITY * np.array([-0.6, 0.8, 0.0]), atol=1e-9)
+
+
+def test_a_spin_about_the_center_of_mass_is_slowed_by_every_lever():
+    a = acceleration(MODEL, INERTIA, DRAG, STILL, tensor(0, 0, 5.0), STILL, INERTIA.com)
+    arm = torch.linalg.norm(MODEL.particles - INERTIA.com, dim=1)
+    assert_allclose(a[2], -(DRAG * arm).sum() / INERTIA.about_com, rtol=1e-6)
 
 
 def test_a_free_body_keeps_momentum_and_friction_takes_energy_in_every_step():

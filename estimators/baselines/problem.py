@@ -20,7 +20,7 @@ from estimators.hidden_states.masses import one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.identifiability.report import Identifiability, identifiability
 from estimators.particles.load_groups import LoadGroups, rank_of
-from estimators.particles.observe import HAS_HINGES, NO_DATA, ONE_BODY, observe
+from estimators.particles.observe import HAS_HINGES, NO_DATA, NO_DRAG, ONE_BODY, observe
 from estimators.particles.windows import Observations
 from estimators.particles.wrench import AffineLoads, WrenchModel
 from estimators.posterior.on_table import OnTable
@@ -39,7 +39,6 @@ LIKELY_FRICTION = 0.5
 FAR_OFF = 0.45
 """Part of the largest wrench, root mean square, above which a candidate explains no trial: a trial with its sign
 turned leaves more. Ours. Eq. problem cannot show this, since it divides by mass: a heavy guess hides such trials."""
-NO_DRAG = "every force at constant speed is zero, as of a dead sensor: without M nothing tells the size of the masses"
 Weighting = Literal["velocity", "covariance"]
 
 
@@ -98,7 +97,7 @@ class Problem:
         if windows is None or bool(windows.accelerated.all()):
             return Estimate(None, "no_data", NO_DATA)
         if known is None and not windows.drag:
-            return Estimate(None, "no_data", NO_DRAG)
+            return Estimate(None, "no_data", f"{NO_DRAG}: without M nothing shows the size of the masses")
         model = ParticleModel.of(shape)
         groups = LoadGroups.of(model)
         steady = windows.where(~windows.accelerated)

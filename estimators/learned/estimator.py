@@ -20,7 +20,7 @@ from estimators.learned.checkpoint import COMMAND, FALSE_ALARM, LEAST_FREEDOM, C
 from estimators.learned.examples import Examples, fixed_axes
 from estimators.learned.question import MISFIT, SUMMARY, Question, ask
 from estimators.particles.misfit import NEXT
-from estimators.particles.observe import HAS_HINGES, NO_DATA, ONE_BODY
+from estimators.particles.observe import HAS_HINGES, ONE_BODY
 from estimators.posterior.scale import Weighing
 from estimators.wrench.support import ASSUMPTION, ERRORS
 from testbed.errors import InvalidValueError
@@ -105,8 +105,8 @@ class Learned:
         if why := _unlike(shape, trajectories, learned):
             return Estimate(None, "assumption_violated", why, seconds=time.perf_counter() - begin)
         question = ask(shape, weight, trajectories)
-        if question is None:
-            return Estimate(None, "no_data", NO_DATA, seconds=time.perf_counter() - begin)
+        if isinstance(question, str):
+            return Estimate(None, "no_data", question, seconds=time.perf_counter() - begin)
         scale = Weighing.of(shape, ERRORS["own_weight"].weight_error, question.setup)
         mass, friction = _draws(network, question, weight, scale.error, self.draws, seed)
         per_group, misfit = shape.particles_per_group, question.first.misfit((mass.mean(0) / weight) * friction.mean())

@@ -149,7 +149,7 @@ def _of_object(seed: int, index: int) -> list[tuple[Question, Tensor]]:
         part = [made[i] for i in rng.permutation(len(made))[:size]]
         weight = obj.total_mass + (0.001 + LAB.scale) * rng.standard_normal()
         question = ask(obj.shape, weight, part)
-        if question is not None:
+        if not isinstance(question, str):
             found.append((question, truth + float(np.log(obj.total_mass / weight))))
     return found
 

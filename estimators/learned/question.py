@@ -20,7 +20,7 @@ from estimators.hidden_states.masses import inertia_map
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.load_groups import rank_of
 from estimators.particles.misfit import Misfit
-from estimators.particles.observe import observe
+from estimators.particles.observe import NO_DATA, NO_DRAG, observe
 from estimators.particles.windows import PLANAR, Observations
 from estimators.wrench.support import ERRORS
 from testbed.objects.model import GRAVITY, MassDistribution, ObjectShape
@@ -109,8 +109,8 @@ class Question:
     """Errors of the setup as stated."""
 
 
-def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Question | None:
-    """Question of an object on its groups' own weight, with one friction; None without a turn at constant speed.
+def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -> Question | str:
+    """Question of an object on its groups' own weight, with one friction, or the reason for none.
 
     Args:
         shape: geometry and groups.
@@ -119,7 +119,9 @@ def ask(shape: ObjectShape, weight: float, trajectories: Sequence[Trajectory]) -
     """
     every = observe(shape, trajectories, ERRORS["own_weight"])
     if every is None or bool(every.accelerated.all()):
-        return None
+        return NO_DATA
+    if not every.drag:
+        return NO_DRAG
     windows, turning = merged(every), every.where(every.accelerated)
     trials, accelerated = (TrialWindows.about(shape, weight, each, ERRORS["own_weight"]) for each in (windows, turning))
     per_group = torch.tensor(shape.particles_per_group, dtype=torch.float64)

@@ -27,6 +27,7 @@ HAS_HINGES = (
 """Message of a method that takes no articulated object."""
 ONE_BODY = "not every mass group has feet of its own to rest on: it is one rigid body, for support_aware"
 NO_DATA = "no trajectory with status ok that slides or turns at constant speed, for 1.2 s or more"
+NO_DRAG = "every force at constant speed is zero, as of a dead sensor"
 NO_LINKS = f"{NO_DATA} while every link moves steadily: grip another link, or move across the links"
 
 

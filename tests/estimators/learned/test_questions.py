@@ -1,5 +1,6 @@
 """Questions to the learned posterior: their symmetries and files; and its settings."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 from estimators import Learned, observe
 from estimators.learned.checkpoint import load_examples, save_examples
 from estimators.learned.examples import RATES, Examples, fixed_axes
-from estimators.learned.question import ask
+from estimators.learned.question import Question, ask
 from estimators.registry import check_installed, code_of
 from estimators.testing.analytic_lab import LAB, Draw, contacts, drawn, flawed_trial
 from estimators.testing.analytic_world import drawn_object
@@ -36,12 +37,19 @@ def test_windows_of_a_slower_record_are_the_same():
     assert 0.4 < size < 2.5  # variances of few means
 
 
+def test_a_dead_sensor_is_the_reason_for_no_question():
+    obj = drawn(1, SEED, "corners", (4, 4))
+    dead = [replace(t, wrench_on_object_world=0 * t.wrench_on_object_world) for t in lab_trials(obj, 1)]
+    reason = ask(obj.shape, obj.total_mass, dead)
+    assert isinstance(reason, str) and "dead sensor" in reason
+
+
 @pytest.mark.slow
 def test_names_of_groups_do_not_count_in_a_question():
     obj = drawn(1, SEED, "corners", (4, 4))
     trials, order = lab_trials(obj, 2), np.array([2, 0, 3, 1])
     one, other = (ask(shape, obj.total_mass, trials) for shape in (obj.shape, renamed(obj.shape, order)))
-    assert one is not None and other is not None
+    assert isinstance(one, Question) and isinstance(other, Question)
     assert_allclose(other.first.mean, one.first.mean[order], rtol=1e-6)
     assert_allclose(other.edges, one.edges[:, order], rtol=1e-5, atol=1e-7)
     axes = fixed_axes(1)
@@ -57,7 +65,7 @@ def test_the_first_answer_weighs_inertia_by_its_true_error():
     feet, draw = contacts(obj, "corners", LAB, rng), Draw.of(LAB, rng)
     actions = [Rotate(0, duration=4.0, back=True), *(Accelerate(grasp) for grasp in range(3))]
     question = ask(obj.shape, obj.total_mass, [flawed_trial(obj, a, feet, draw, rng) for a in actions])
-    assert question is not None
+    assert isinstance(question, Question)
     first, share = question.first, obj.group_mass / obj.total_mass
     off, other = ((first.inertia.numpy() - first.spins.numpy() @ x) ** 2 for x in (share, share[::-1]))
     assert len(off) == 3 and off.mean() < 4 < other.mean()
@@ -67,7 +75,7 @@ def test_the_first_answer_weighs_inertia_by_its_true_error():
 def test_examples_are_padded_and_joined_without_loss(tmp_path):
     small, large = (drawn(k, SEED, "corners", (k, k), least_grasps=1) for k in (2, 4))
     questions = [ask(obj.shape, obj.total_mass, lab_trials(obj, k)) for k, obj in ((1, small), (3, large))]
-    alone = [Examples.of([question]) for question in questions if question is not None]
+    alone = [Examples.of([question]) for question in questions if isinstance(question, Question)]
     joined = Examples.joined(alone)
     assert joined.groups.sum(1).tolist() == [2, 4] and joined.windows.sum(1).tolist() == [2, 6]
     assert_allclose(joined.mean[0, :2], alone[0].mean[0])

@@ -32,7 +32,8 @@ BESIDE, BETWEEN = (0.01, 0.015), np.array([0.004, 0.003])
 # grasped between particles: the drag of one at the center of a turn has no derivative
 GRASPS = tuple(replace(grasp, position=grasp.position + BETWEEN) for grasp in OBJECT.shape.grasps)
 APART = replace(OBJECT, shape=replace(OBJECT.shape, grasps=GRASPS))
-CENTERS, PUSHES = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2)), [Push.into(face) for face in faces(OBJECT.shape)]
+CENTERS = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 2))
+PUSHES = [replace(Push.into(face), speed=0.08) for face in faces(OBJECT.shape)]
 DRAG = Slide(0, np.pi / 2, duration=2.5)
 SHARP = replace(EXACT, weight_error=1e-9)
 KINDS = {

@@ -167,7 +167,7 @@ def test_nad_against_a_setting_alone():
     check_units(nad_distribution(rows))
     for count in (MANY, MANY + 1):
         (points,) = nad_distribution([rows[0]] * count).axes[0].collections[:1]
-        assert (points.get_alpha() < 0.5) == points.get_rasterized() == (count > MANY)
+        assert ((points.get_alpha() or 1.0) < 0.5) == points.get_rasterized() == (count > MANY)
     for name, unit in {"support": ", N/m", "simulation.grip_N": ", N", "policy.duration": ", s", "feet": ""}.items():
         assert axis_label(f"axis.{name}") == f"{name}{unit}"
 

@@ -123,7 +123,7 @@ REFUSED_CALLS: list[tuple[Callable[[], object], str, str]] = [
         (partial(parse_support, bad), "support", 'allowed: "own_weight", "rigid", or a stiffness')  # pyright: ignore[reportArgumentType]
         for bad in (None, [1], "air", -1, 10**400, "rigid N/m", "-1 N/m")
     ),
-    (partial(Lift.stop_and_go, 0, tilt=None), "Lift.tilt", "an angle from 0"),
+    (partial(Lift.stop_and_go, 0, tilt=None), "Lift.tilt", "an angle from 0"),  # pyright: ignore[reportArgumentType]
     (partial(Lift.stop_and_go, 0, poses=1), "Lift.poses", "an integer >= 2"),
     *(
         (partial(Push.into, faces(SHAPE)[2], bad), "Push.into.part", "0 to 1, from one end of the face")  # pyright: ignore[reportArgumentType]

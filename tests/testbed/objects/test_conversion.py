@@ -83,7 +83,7 @@ SHEET, LARGE_SHEET = (trimesh.Trimesh([[0, 0, 0], [a, 0, 0], [0, a, 0]], [[0, 1,
         (SHEET, 1.0, read_surface, "encloses a volume"),
         (BAR, 1.0, partial(convert_mesh, down="²"), "down: got '²'"),
         *((BAR, 1.0, partial(convert_mesh, cell=cell), "cell: .*a finite number > 0") for cell in (0.0, np.nan)),
-        (BAR, 1.0, lambda path: convert_mesh(path, most_grasps=0).masses(("0.3",)), "mass: got '0.3'"),
+        (BAR, 1.0, lambda path: convert_mesh(path, most_grasps=0).masses(("0.3",)), "mass: got '0.3'"),  # pyright: ignore[reportArgumentType]
         *((BAR, 1.0, partial(cut_file, how=how), "clusters:2 to") for how in ("clusters:1", "clusters:²")),
         *((BAR, 1.0, partial(cut_file, how=how), "planes as") for how in ("0", "99", "1.5", "color")),
     ],

@@ -14,13 +14,13 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import extract_tb
-from types import NoneType, UnionType
+from types import ModuleType, NoneType, UnionType
 from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
@@ -30,6 +30,7 @@ from testbed.trial import TrialRunner
 from testbed.validation import arguments_of
 
 T = TypeVar("T")
+_MOST_LISTED = 12
 _PLAIN = (bool, int, float, str, NoneType)
 _PATH = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
@@ -123,13 +124,24 @@ def load_class(path: str, role: Role[T], field: str) -> type[T]:
     module = _imported(name, path, field)
     kind = getattr(module, attribute, None)
     if kind is None:
-        classes = inspect.getmembers(module, inspect.isclass)  # of lazy names too
-        own = [key for key, value in classes if f"{value.__module__}.".startswith(f"{name}.")]
-        known = f"a class of {name}: {', '.join(own) or 'it defines none'}{nearest(attribute, own)}"
+        own = _classes_of(module)
+        listed = ", ".join(own[:_MOST_LISTED]) + ", ..." * (len(own) > _MOST_LISTED)
+        known = f"a class of {name}: {listed or 'it defines none'}{nearest(attribute, own)}"
         raise InvalidValueError(field, path, known)
     if wrong := _breach(kind, role):
         raise InvalidValueError(field, path, f"a class with {' and '.join(role.calls)}, as {role.protocol}; {wrong}")
     return kind
+
+
+def _classes_of(module: ModuleType) -> list[str]:
+    """Public classes that a package defines, those of lazy names too."""
+    own = []
+    for key in (key for key in dir(module) if not key.startswith("_")):
+        with suppress(Exception), redirect_stdout(sys.stderr):  # a lazy name imports a module, which may raise anything
+            value = getattr(module, key)
+            if isinstance(value, type) and f"{value.__module__}.".startswith(f"{module.__name__}."):
+                own.append(key)
+    return own
 
 
 def configured(

@@ -28,9 +28,9 @@ def pytest_collection_finish():
 def parsers_in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
     """No process for each file of a quick test; `own_process` and slow tests have them as users do."""
     if not any(request.node.get_closest_marker(name) for name in ("slow", "own_process")):
-        monkeypatch.setattr(process, "start_parser", _start_parser)
+        monkeypatch.setattr(process, "parser_result", _parser_result)
 
 
-def _start_parser(module: str, words: tuple[str, ...], seconds: int) -> tuple[int, str]:
+def _parser_result(module: str, words: tuple[str, ...], seconds: int) -> tuple[int, str]:
     reason = process.refusal(import_module(module).main, words)
     return int(bool(reason)), reason

@@ -188,7 +188,7 @@ class ToolPath:
     """Path of the tool in an action, at N ticks of which the first is one step after its start.
 
     The poses are the sum of all ways. The first way has whole poses, with height 0 at the grip; the others have offsets
-    from them, and move one after the other.
+    from them, and move one after the other while the first is at its last knot.
     """
 
     step: float

@@ -35,7 +35,7 @@ from testbed.trajectory import Tool, Trajectory
 
 FARTHEST = 50.0
 """Largest coordinate of a hand [m]: no hall with a bench is larger."""
-_CAMERA_ERRORS = "check in_base of [camera], object and order of [[camera.parts]], tcp_in_hand_m and closing_deg"
+_CAMERA_REMEDY = "check in_base of [camera], object and order of [[camera.parts]], tcp_in_hand_m and closing_deg"
 _SINCE_1970 = 1e9, 4e9
 """Times between these count from 1970: the years 2001 to 2096 [s]."""
 
@@ -120,7 +120,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     )
     trajectory = with_camera_poses(compensate(trajectory, zeroed=table.sensor.zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
-        raise LogError(f"camera: {doubt}; {_CAMERA_ERRORS}")
+        raise LogError(f"camera: {doubt}; {_CAMERA_REMEDY}")
     return judge_drift(trajectory, DriftLimit())
 
 

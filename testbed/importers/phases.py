@@ -34,7 +34,7 @@ Phases = tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"]]
 STEADY_WITHIN = 0.1
 """Largest deviation of a stretch from the action's speed, as a part of it."""
 PUSHED_WITHIN = 0.5
-"""The same for a push, as a part of its speed: the arm yields as the fingertip meets the object."""
+"""Largest deviation of a push before its end, as part of its speed: the arm yields as the fingertip makes contact."""
 _UPRIGHT = 0.7
 """Least ratio of a hand's turn rate about the vertical to its whole turn rate. Ours."""
 STILL = (0.002, np.radians(0.5))

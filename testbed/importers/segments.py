@@ -95,7 +95,7 @@ class Segment:
     reason: str = ""
     """Why a motion beside the object is no push."""
     lay: tuple[float, float, float] | None = None
-    """Pose of a rigid object at its begin by a camera [m, m, rad], base axes."""
+    """Pose of a rigid object by a camera at the begin of the motion [m, m, rad], base axes."""
 
     @property
     def held(self) -> bool:

@@ -78,7 +78,10 @@ class Streams:
         return replace(self, wrench=self.wrench._replace(time_s=self.wrench.time_s - seconds))
 
     def sensed(self, table: Mapping) -> Streams:
-        """Streams with the wrench about the sensor and in its axes, which are those of its stamps: `early` is first."""
+        """Streams with the wrench about the sensor, in its axes.
+
+        The axes are those of the hand at the stamps of the wrench: take its delay off by `early` before.
+        """
         wrench = in_sensor_axes(self.wrench, self.pose, table.sensor, table.hand)
         if table.sensor.torque_about == "tcp":
             lever = np.cross(table.tool.tcp_m, wrench.values[:, :3])

@@ -108,7 +108,12 @@ def checked_torques(name: str, torques: Iterable[float], chain: Chain | None) ->
 
 
 def velocities(own: Float[np.ndarray, "S P 9"], offsets: Float[np.ndarray, "... P 2"]) -> Float[np.ndarray, "S P 2"]:
-    """Velocities of particles [m/s] by the motions `own` of their links, at `offsets` from the grasp point [m]."""
+    """Velocities of particles [m/s] by the motions `own` of their links.
+
+    Args:
+        own: motion of the link of each particle.
+        offsets: place of each particle from the grasp point in the object's layout [m].
+    """
     place = _turn(own[..., 0], offsets) + own[..., 1:3]
     return own[..., 3:5] + own[..., 5:6] * perpendicular(place)
 

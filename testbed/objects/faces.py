@@ -44,7 +44,7 @@ class Face(NamedTuple):
 
 
 def faces(shape: ObjectShape) -> list[Face]:
-    """Sides of the outline; without `shape.sides` the free sides of cells, those in line of a mass group merged."""
+    """Sides of the outline; without `shape.sides`, the free sides of cells, merged along a line of a mass group."""
     if not len(shape.sides):
         return _faces_of_cells(shape)
     begin, end = shape.sides.swapaxes(0, 1)

@@ -86,9 +86,8 @@ def grasp_at(mesh: trimesh.Trimesh, place: GraspPlace, field: str) -> Grasp:
         length=float(rows[-1] - rows[0] + _PATCH),
         bottom=float(columns[0] - _PATCH / 2),
         top=float(columns[-1] + _PATCH / 2),
-        opening=None
-        if free >= STROKE
-        else float(free + needed) / 2,  # midway between the least opening and the obstacle
+        # midway between the least opening and the obstacle
+        opening=None if free >= STROKE else float(free + needed) / 2,
     )
 
 

@@ -278,9 +278,7 @@ def _cells(parts: list[Part], cell: float, low: Float[np.ndarray, "2"], high: Fl
         if not held.any():
             allowed = f"a part that is wider than the rays' distance, {step * 1e3:.2g} mm, or a smaller cell_m"
             raise InvalidValueError(f"mesh.parts.{index}", f"{parts[index].name} without a particle", allowed)
-        if not (owner == index)[
-            held > 0
-        ].any():  # within cells of another part: assign the one with most of its material
+        if not (owner == index)[held > 0].any():  # within cells of others: assign the one with most of its material
             spare = np.bincount(owner[held > 0], minlength=len(parts))[owner] > 1
             owner[np.where(spare, held, 0).argmax()] = index
         own = (owner == index) & (held > 0)

@@ -51,13 +51,13 @@ def parsed(module: str, path: Path, *words: str) -> Iterator[Path]:
     seconds = SECONDS + SECONDS_PER_MB * size // 10**6
     with TemporaryDirectory(prefix="heft_") as folder:
         result = Path(folder) / "result"
-        code, said = start_parser(module, (str(path), *words, str(result)), seconds)
+        code, said = parser_result(module, (str(path), *words, str(result)), seconds)
         if code:
             _refuse(code, said, seconds)
         yield result
 
 
-def start_parser(module: str, words: Sequence[str], seconds: int) -> tuple[int, str]:
+def parser_result(module: str, words: Sequence[str], seconds: int) -> tuple[int, str]:
     """Exit code and error output of a parser in a process of its own."""
     environment = os.environ | {_LIMITS: str(seconds), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-P", "-m", module, *words]
@@ -92,9 +92,8 @@ def run_parser(main: Callable[..., None]) -> None:
         (resource.RLIMIT_FSIZE, OUTPUT),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(
-            what, (most, most + (what == resource.RLIMIT_CPU))
-        )  # at the hard limit the kernel sends SIGKILL, not SIGXCPU
+        # at the hard limit of time the kernel sends SIGKILL, not SIGXCPU
+        resource.setrlimit(what, (most, most + (what == resource.RLIMIT_CPU)))
     reason = refusal(main, sys.argv[1:])
     if not reason:
         sys.exit(0)

@@ -215,7 +215,7 @@ class Execution:
         self._guard.check()
 
     def _give_way(self, step: float) -> None:
-        """Yield to the vertical load on the fingertip, as far as a grip settles, since faces tilt."""
+        """Yield to the vertical load on the fingertip, within `null_travel`, since pushed faces tilt."""
         rate, most = self._settings.null_gain[0], self._settings.null_travel[0]
         way = -rate * step * float(self._load(self._guard.state())[2])
         self._raised[2] = np.clip(self._raised[2] + way, -most, most)

@@ -101,7 +101,7 @@ def held_center(
         covariance: covariance of that wrench, shape (6, 6).
 
     Raises:
-        InvalidValueError: no object is held: the upward force is within `SIGNIFICANT` standard errors of zero.
+        InvalidValueError: no object is held: the upward force does not exceed `SIGNIFICANT` standard errors.
     """
     w = frozen_array("held_center.wrench", wrench, (6,))
     spread = frozen_array("held_center.covariance", covariance, (6, 6))

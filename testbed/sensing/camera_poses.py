@@ -22,11 +22,11 @@ DELAY = 0.06
 SCALE = 0.04
 """Largest relative error of distances: a ruler that is 4 % too long."""
 _SURE = 3.0
-"""Standard errors by which an error must exceed its limit."""
+"""Standard errors by which an error must exceed its limit; also the largest ratio of scatter to that stated."""
 _BEFORE = 0.5
 """Time at rest before the motion that is compared too [s]."""
 _REST, _CLEAR = 1.5, 0.15
-"""Time at rest before the first contact, and time around it that is left out [s]: fingertip and force change."""
+"""Time at rest before the first contact, and time around it that is left out [s]: fingertip slows, force rises."""
 _TOUCH = 0.0005
 """Standard deviation of the fingertip's position at the first contact by the force [m]."""
 _FACE = 0.0005

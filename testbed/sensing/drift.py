@@ -1,4 +1,4 @@
-"""Drift of a sensor's zero during a trial, and the limit beyond which the trial is no data.
+"""Drift of a sensor's zero during a trial, and the limit beyond which the trial is invalid.
 
 A trial on the robot begins and ends with a tare in the same place. The first one is the zero of the wrench; the second
 one shows the error at the end of the record. Estimators weight a record by the random walk of its zero: the walk that
@@ -22,7 +22,7 @@ ANOTHER_UNIT = 30.0
 
 @dataclass(frozen=True)
 class DriftLimit:
-    """Greatest drift of a trial that is data.
+    """Greatest drift of a valid trial.
 
     The default is a bias that cost 28 % NAD on a block object turned one way, and 3 % there and back. It is some four
     times the scatter of a tare of 0.5 s with an FT-300S.
@@ -68,7 +68,7 @@ class Drift:
         return np.repeat([self.force, self.torque], 3) / np.sqrt(3 * self.seconds)
 
     def exceeds(self, limit: DriftLimit) -> str:
-        """Reason why the trial is no data, in a sentence; empty within the limit."""
+        """Reason why the trial is invalid, in a sentence; empty within the limit."""
         if self.force <= limit.force and self.torque <= limit.torque:
             return ""
         remedy = "let the sensor warm up, and do the trial again"

@@ -60,9 +60,8 @@ def planar_scene(guess: ObjectModel, support: Support, grasp: Float[np.ndarray, 
     spec = mujoco.MjSpec()
     spec.memory = ARENA * len(guess.shape.particles)
     set_solver(spec, TIMESTEP, CONTACT)
-    spec.option.integrator = (
-        mujoco.mjtIntegrator.mjINT_EULER
-    )  # the discrete one lifts sliding feet off a hard foundation
+    # the discrete integrator lifts sliding feet off a hard foundation
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.tolerance = 1e-20  # for finite differences at steps of 1e-8
     spec.worldbody.add_geom(name="top", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1), contype=0, conaffinity=0)
     add_feet(spec, guess, _add_groups(spec, _add_drive(spec), guess, support, grasp), CONTACT, Feet.of(guess))

@@ -63,8 +63,8 @@ class Feet:
         Args:
             model: an object that stands on feet.
             offset: distance of each foot from its place [m].
-            uneven: deviation of each foot's load from an even share, as a part of it; the part of it that would move or
-                tilt the load is removed.
+            uneven: relative deviation of each foot's load from an even share; its affine component, which would shift
+                the load, is removed.
         """
         shape = model.shape
         position, stiffness = shape.particles[shape.feet] + offset, np.ones(len(shape.feet))

@@ -37,7 +37,7 @@ def as_measured(clean: Trajectory, draw: WorldDraw) -> Trajectory:
 
 
 def mounting(draw: WorldDraw) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the stated axes of the sensor to its true ones."""
+    """Matrix from components in the stated axes of the sensor to those in its true axes, shape (3, 3)."""
     return Rotation.from_rotvec(draw.normal("mounting_angle", 3)).as_matrix()
 
 

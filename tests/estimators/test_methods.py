@@ -58,6 +58,7 @@ SLOW = (
     *(f"{name} with M" for name in BASELINES),
 )
 """Held by CI alone: each has a quick twin, in method or in one setting."""
+DRAWING_NOTHING = (HiddenStates, PublishedHiddenStates, Bayes, GradientBaseline, LeastSquares, SupportAware)
 WITHOUT_TRACES = ("hidden_states", "published, exact", "bayes", "support_aware", "support_aware of materials")
 
 
@@ -82,11 +83,7 @@ RULES = [
     for holds in (
         *CONFORMANCE,
         *(() if name in WITHOUT_TRACES else (traces_every_iteration,)),
-        *(
-            WITHOUT_DRAWS
-            if isinstance(estimator, HiddenStates | PublishedHiddenStates | Bayes | GradientBaseline | LeastSquares)
-            else ()
-        ),
+        *(WITHOUT_DRAWS if isinstance(estimator, DRAWING_NOTHING) else ()),
     )
 ]
 

@@ -6,7 +6,7 @@ import trimesh
 def box(
     size: tuple[float, float, float], middle: tuple[float, float, float], color: list[int] | None = None
 ) -> trimesh.Trimesh:
-    """Box about a point [m], in one color if any."""
+    """Box of a size about its middle [m], in one RGBA color, 0 to 255, if any."""
     made = trimesh.creation.box(size)
     if color is not None:
         made.visual = trimesh.visual.ColorVisuals(made, face_colors=color)

@@ -1,4 +1,4 @@
-"""A small sweep that is killed at a random moment, and the checks of its files afterwards."""
+"""A small sweep that is killed after a number of files, and the checks of its files afterwards."""
 
 import json
 import os
@@ -100,7 +100,7 @@ def alive(pid: int) -> bool:
 
 
 def kill_a_run(scenario: Path, out: Path, killing: Killing, workers: int = 2) -> str:
-    """Start a run and kill a process of it; returns a line about its end.
+    """Start a run and kill its driver, a worker, or both; returns a line about its end.
 
     Raises:
         AssertionError: a worker outlives its driver, a driver does not survive its worker, or a file is incomplete.

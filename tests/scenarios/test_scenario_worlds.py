@@ -49,7 +49,7 @@ def test_sensors_share_the_trials_of_a_draw_and_a_perfect_one_has_draws_too():
     assert scenario.world.draw(model, 0, "other") != scenario.world.draw(model, 0, "s")
 
 
-def test_keys_differ_by_world_and_that_of_the_ideal_one_has_none():
+def test_keys_differ_by_world_and_leave_the_ideal_one_out():
     model, action, settings = load_object("I2"), Rotate(0), SimulationSettings()
     plain = trial_request(Trial(model, action), settings)
     assert "world" not in plain

@@ -400,13 +400,13 @@ def test_a_run_removes_the_leftovers_of_heft_and_nothing_that_is_being_written_o
 
 def test_a_full_disk_at_the_end_is_no_run_that_is_done(finished, copied, monkeypatch, capsys, tmp_path):
     def full(*_: object) -> None:
-        raise OSError(28, "No space left on device", str(copied / "report"))
+        raise OSError(28, "No space left on device", str(copied / "recording.rrd"))
 
     for name in ("figures", "record_results", "record_worst", "report"):
-        monkeypatch.setattr(finished_views, name, full if name == "report" else lambda *_: copied / "x.pdf")
+        monkeypatch.setattr(finished_views, name, full if name == "record_results" else lambda *_: copied / "x.pdf")
     scenario = shutil.copy(finished.scenario, tmp_path / "my scenario.toml")
     said = refusal(capsys, "run", str(scenario), "--out", str(copied), "--workers", "0")
-    assert said == f"heft: No space left on device: {copied / 'report'}\n"
+    assert said == f"heft: No space left on device: {copied / 'recording.rrd'}\n"
     command = (read_manifest(copied) or {})["command"]
     assert shlex.split(command) == ["heft", "run", str(scenario), "--out", str(copied)]
 

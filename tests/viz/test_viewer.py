@@ -225,7 +225,7 @@ def test_the_reason_why_a_viewer_ended_is_one_line(output, part):
 
 
 @pytest.mark.parametrize("platform", ["linux", "darwin"])
-def test_only_linux_is_asked_to_end_the_viewer(monkeypatch, tmp_path, platform):
+def test_the_viewer_ends_with_heft_by_prctl_on_linux_alone(monkeypatch, tmp_path, platform):
     given: dict[str, Any] = {}
 
     def start(*_: object, **options: Any) -> None:

@@ -72,7 +72,7 @@ class Converted:
         """Mass of each part [kg]: as given, or one mass in all shared by volume.
 
         Raises:
-            InvalidValueError: neither one mass nor one per part, or one that is not positive.
+            InvalidValueError: neither one mass nor one per part, or a mass that is not > 0 and < 100 kg.
         """
         for mass in given:
             check_kilograms("mass", mass)
@@ -147,7 +147,10 @@ def convert_mesh(
 
 
 def object_name(path: Path, name: str | None = None) -> str:
-    """Name of an object, in letters of a file name: as given, or the file's, or its folder's where that is "mesh"."""
+    """Name of an object: `name`, else the file's stem, or the folder's name if the stem is "mesh".
+
+    Characters other than letters, digits, `_`, `.` and `-` are replaced.
+    """
     stem = path.parent.name if path.stem.lower() == "mesh" else path.stem
     return re.sub(r"[^\w.-]+", "_", name or stem).lstrip(".")[:64] or "object"
 

@@ -71,7 +71,7 @@ def labelled(surface: Surface, path: Path) -> Surface:
     in which the points span what the mesh does.
 
     Raises:
-        InvalidValueError: no such file, no whole PLY, no labels, or points of another object.
+        InvalidValueError: no such file, a damaged PLY, no labels, or points of another object.
     """
     if not path.is_file():
         raise InvalidValueError("parts", str(path), WAYS)
@@ -87,7 +87,7 @@ def labelled(surface: Surface, path: Path) -> Surface:
         raise InvalidValueError("parts", path.name, "a PLY with a property segmentation, label, class or part")
     points = np.column_stack([data[axis] for axis in "xyz"]).astype(float)
     if len(points) != vertex["length"]:
-        allowed = f"{vertex['length']} points, as its head says"
+        allowed = f"{vertex['length']} points, as its header states"
         raise InvalidValueError("parts", f"{path.name} of {len(points)} points", allowed)
     span, wanted = np.ptp(points, axis=0).max(), np.ptp(surface.points, axis=0).max()
     scale = next((s for s in UNITS.values() if 0.8 < span * s / wanted < 1.25), None)

@@ -35,8 +35,8 @@ from testbed.validation import check_positive_fields, freeze_arrays, frozen_arra
 
 Sign = Literal[1, -1]
 TELLING = 25.0
-"""Difference of squared misfit, five standard deviations, that determines the sign, and from which the axes differ in
-their noise."""
+"""Difference of squared misfits that determines the sign, or that the axes differ in their noise: five standard
+deviations."""
 HANDED = 0.2
 """Residual of the forces' directions, from 0 to 1, that determines the sign by the forces alone; chosen here."""
 FARTHEST = 0.5

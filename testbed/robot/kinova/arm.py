@@ -51,8 +51,8 @@ class KortexArm:
     """Time without feedback after which a moving arm is stopped, and counts as lost [s]; also the arm's own timeout. A
     process that is silent for 0.6 times as long counts as frozen."""
     watchdog: Annotated[float, Range(0.02, 0.1, "s")] = 0.05
-    """Time after which the arm is stopped [s]: without a further twist during a twist, and without a call of `state`
-    from the first motion until a stop."""
+    """Time after which the arm is stopped [s] if no further twist follows one, or if `state` is not called between the
+    first motion and a stop."""
     limits = GEN3
     """Limits of the arm; known before connecting."""
 

@@ -1,8 +1,8 @@
 """Kortex process and stand-by process, which run Kinova's `kortex_api` in any Python that has it and its protobuf.
 
 `testbed.robot.kinova.link` starts them, each in a session of its own, so that signals of heft's terminal and the end of
-heft do not reach them. They import only this package's modules for them, and are written for Python 3.8. Requests are
-JSON lines on standard input, replies and feedback JSON lines on standard output; the first request is a
+heft do not reach them. Of heft they import only modules of this package, and they are written for Python 3.8.
+Requests are JSON lines on standard input, replies and feedback JSON lines on standard output; the first request is a
 `Configuration`.
 """
 

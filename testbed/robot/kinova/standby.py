@@ -121,9 +121,8 @@ class StandBy:
                 quiet, engaged = 0.0, got.endswith(_ENGAGED)
             if (engaged and quiet > self._configuration.quiet) or farewell > _FAREWELL:
                 with suppress(OSError):
-                    os.kill(
-                        self._mover, signal.SIGKILL
-                    )  # so that it cannot resume; its open pipe shows that the id is still its own
+                    # so that it cannot resume; its open pipe shows that the id is still its own
+                    os.kill(self._mover, signal.SIGKILL)
                 return f"the process that speaks to it passed on no feedback for {quiet * 1e3:.0f} ms"
             self._line.offer(standby=self._trouble)
 

@@ -85,6 +85,16 @@ def test_a_wrong_grasp_or_count_is_refused(call, message):
         call()
 
 
+def test_the_policy_asks_until_the_rank_is_full():
+    shape, policy = load_object("L1").shape, RankDriven(pivots=1, accelerated=3, duration=2.0)
+    assert isinstance(policy, ActionPolicy)
+    actions = actions_of(policy, shape)
+    turns = [action for action in actions if isinstance(action, Rotate)]
+    assert predicted_rank(shape, turns) == 6
+    assert predicted_rank(shape, turns[:-1]) < 6
+    assert sum(isinstance(action, Accelerate) for action in actions) == 3 == len(actions) - len(turns)
+
+
 @pytest.mark.parametrize(("name", "turns"), [("I1", 3), ("L1", 2), ("F1", 2)])
 def test_the_published_policy_turns_one_way_about_grasps_until_the_rank_is_full(name, turns):
     shape = load_object(name).shape

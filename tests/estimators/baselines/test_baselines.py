@@ -191,6 +191,16 @@ def test_where_not_even_two_levels_fit_the_masses_of_the_grid_are_alike():
     assert len(_grid(9, 1, 512, 0.25)) == 512
 
 
+@pytest.mark.slow
+def test_on_a_block_object_the_budget_of_the_paper_holds_a_grid():
+    obj = load_object("L2")
+    one, other = (ask(obj, WeightedSampling(), seed=seed).traces[0] for seed in (0, 1))
+    assert one.loss[:128] == other.loss[:128] != one.loss[:1] * 128
+    assert one.loss[128:] != other.loss[128:]
+    best = one.mass[127]
+    assert len(np.unique(best.round(12))) > 1, "the best of the grid tells light blocks from heavy ones"
+
+
 def test_weighted_sampling_begins_on_a_grid_and_ends_near_its_best():
     (trace,) = ask(TWO, WeightedSampling(use_weight=True), seed=1).traces
     other = ask(TWO, WeightedSampling(use_weight=True), seed=2).traces[0]

@@ -262,3 +262,16 @@ def test_no_weight_is_refused_where_it_is_used_and_not_missed_where_it_is_not(we
     with pytest.raises(InvalidValueError, match=r"^weight: "):
         Problem.of(*given, use_weight=True, errors=ModelErrors(0.0))
     assert isinstance(Problem.of(*given, use_weight=False, errors=ModelErrors(0.0)), Problem)
+
+
+def test_the_wrench_is_linear_in_mass_and_in_friction():
+    obj = cut(2, 2)
+    problem = problem_of(obj, everything(obj))
+    (mass, other), (friction, another) = guesses(obj, 2)
+    wrench = problem.wrenches.wrench
+    zero = wrench(0 * mass, friction)
+    assert_allclose(wrench(mass + other, friction) + zero, wrench(mass, friction) + wrench(other, friction), atol=1e-11)
+    still = wrench(mass, 0 * friction)
+    assert_allclose(
+        wrench(mass, friction + another) + still, wrench(mass, friction) + wrench(mass, another), atol=1e-11
+    )

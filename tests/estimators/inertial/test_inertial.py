@@ -318,7 +318,7 @@ ONE_LIFT = "one or more lifts that ended well"
         ),
     ],
 )
-def test_refusals(lift, call: Callable[[Trajectory], object], field: str, said: str):
+def test_wrong_arguments_and_lifts_are_refused(lift, call: Callable[[Trajectory], object], field: str, said: str):
     with pytest.raises(InvalidValueError, match=f"^{field}: .*{said}"):
         call(lift)
 

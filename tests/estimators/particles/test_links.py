@@ -48,7 +48,7 @@ slow = pytest.mark.slow
 
 
 def bar(links: list[int], masses: list[float], torques: list[float]) -> ObjectModel:
-    """A bar of 30 mm blocks, their number in each link given."""
+    """Bar of 30 mm blocks; `links` has the number of blocks in each link."""
     made = blocks(["1" * sum(links)], masses, 0.4, size=0.03, height=0.02)
     at = (np.cumsum(links)[:-1] - sum(links) / 2) * 0.03
     chain = Chain(np.repeat(np.arange(len(links)), links), np.column_stack([at, np.zeros(len(at))]))
@@ -85,12 +85,12 @@ def planned(**fields: Any) -> Planned:
     return Planned(0, False, 0, None, np.array([0.0, 1.0]), twists, np.zeros(3), 0.25, poses)._replace(**fields)
 
 
-@pytest.mark.parametrize(("error", "unsteady"), [(0.0, False), (0.05, False), (0.1, True)])
-def test_a_window_in_which_a_link_may_rest_by_the_errors_of_the_camera_is_unsteady(error, unsteady):
+@pytest.mark.parametrize(("error", "may_rest"), [(0.0, False), (0.05, False), (0.1, True)])
+def test_a_link_may_rest_where_its_rate_is_within_the_errors_of_the_camera(error, may_rest):
     """The other link rests; its rate is measured as 0.2 rad/s."""
     turned, errors = np.zeros((PARTS, 2, 3)), np.zeros((2, 3, 4))
     turned[:, :, 1], errors[1, 1, 0] = (0.5, 0.2), error
-    assert LinkMotion(TWO.shape, planned(turned=turned, turned_errors=errors)).may_rest == unsteady
+    assert LinkMotion(TWO.shape, planned(turned=turned, turned_errors=errors)).may_rest == may_rest
 
 
 def test_hinges_join_links_and_rates_are_those_of_places():

@@ -158,7 +158,7 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_errors_between_the_two_supports_hold(share):
+def test_between_the_two_supports_the_status_warns_and_the_errors_hold(share):
     obj = drawn_object(5)
     answer = ask(obj, joined(obj, share), SupportAware())
     assert answer.status in ("unexplained", "assumption_violated")

@@ -145,10 +145,10 @@ def breach(message: str | None) -> AbstractContextManager[object]:
     return nullcontext() if message is None else pytest.raises(AssertionError, match=message)
 
 
-SLACK = [*((*each, 1.0) for each in VERDICTS), ("L2-own_weight", "ideal", even, None, 6.0)]
+JUDGED = [*((*each, 1.0) for each in VERDICTS), ("L2-own_weight", "ideal", even, None, 6.0)]
 
 
-@pytest.mark.parametrize(("name", "sensing", "answer", "message", "slack"), SLACK)
+@pytest.mark.parametrize(("name", "sensing", "answer", "message", "slack"), JUDGED)
 def test_an_answer_is_judged_by_the_truth(name, sensing, answer, message, slack):
     block = load_block(name)
     with breach(message):

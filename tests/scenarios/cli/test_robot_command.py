@@ -45,7 +45,7 @@ from viz.recordings.trial import SensorStream
 
 SHEET = gripper_class(RobotFile()).data_sheet(0.05)
 BRISK = "[bench]\ntare_s = 0.4\ntravel_speed_m_s = 0.13\n"
-"""Short waits, for trials that test the command alone."""
+"""Short tares and fast travel, for trials that test the command alone."""
 ended = partial(commands.ended, "robot")
 
 

@@ -67,7 +67,6 @@ def test_an_action_comes_back_from_plain_data(action: Action):
 def test_defaults_are_those_of_the_paper():
     assert (math.degrees(Rotate(0).speed), Rotate(0).duration) == (pytest.approx(10), 18)
     assert (Slide(0).speed, Slide(0).duration) == (0.05, 4)
-    assert Weigh().seconds == 0.0
 
 
 def test_a_turn_is_about_its_grasp_unless_a_pivot_is_given():

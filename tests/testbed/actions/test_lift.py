@@ -32,7 +32,7 @@ SAG = 0.0025
 
 
 def measured_and_expected(obj: ObjectModel, action: Lift) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Wrench of every stretch, that of Newton and Euler, (K, 6), and its derivative in the height of the object."""
+    """Wrench of every stretch, that of Newton and Euler, and its slope in the object's height [1/m], each (K, 6)."""
     windows = lift_windows(draw_sensing(RUNNER.run_clean(Trial(obj, action, RIGID)), preset("ideal"), 0))
     at = {"mass": torch.tensor(obj.truth.mass), "place": torch.zeros(3, dtype=torch.float64)}
     expected, slopes = Air.of_masses(obj.shape, windows).linearized(at)

@@ -37,6 +37,7 @@ from tests.helpers.simulated import clean
 
 CAMERA = Rotation.from_euler("xyz", [170, 12, 40], degrees=True)
 """Camera over the table, that looks down on it."""
+LINKS = "upper", "lower"
 EYE = np.array([0.3, -0.2, 0.9])
 LABEL = Rotation.from_euler("xyz", [180, 0, 25], degrees=True)
 """Label on the object, its z axis into it."""
@@ -214,21 +215,47 @@ def test_a_planar_pose_needs_three_columns(push: Trajectory, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_labels_come_as_messages_beside_a_table(push: Trajectory, tmp_path: Path):
-    """An .mcap of poses in the camera's frame, whose stamps count from another second than the table's."""
-    messages = []
-    for time, place, turned in zip(*labels(push, 0), strict=True):
-        stamp = round((EPOCH + time) * 1e9)
-        header = {"stamp": dict(zip(("sec", "nanosec"), divmod(stamp, 10**9), strict=True)), "frame_id": "camera"}
-        pose = {
-            "position": dict(zip("xyz", place.tolist(), strict=True)),
-            "orientation": dict(zip("xyzw", turned.as_quat().tolist(), strict=True)),
-        }
-        content = json.dumps({"header": header, "pose": pose}).encode()
-        messages.append(("/label", "geometry_msgs/PoseStamped", stamp, content))
+def test_labels_come_as_messages_and_as_a_tree(fold: Trajectory, tmp_path: Path):
+    """An .mcap beside the table of the arm: a tree that knows where the camera is, and poses in the camera's frame."""
+    eye = {"header": {"frame_id": "base"}, "child_frame_id": "camera", "transform": transform(EYE, CAMERA)}
+    tree, messages = "tf2_msgs/TFMessage", [message("/tf_static", "tf2_msgs/TFMessage", 0.0, {"transforms": [eye]})]
+    for part, name in enumerate(LINKS):
+        for time, place, turned in zip(*labels(fold, part), strict=True):
+            header, at = {"stamp": stamp_of(time), "frame_id": "camera"}, transform(place, turned)
+            moved = {"header": header, "child_frame_id": name, "transform": at}
+            messages.append(message("/tf", tree, time, {"transforms": [moved]}))
+            if name == "lower":
+                at = {"position": at["translation"], "orientation": at["rotation"]}
+                pose = {"header": header, "pose": at}
+                messages.append(message("/label", "geometry_msgs/PoseStamped", time, pose))
     write_messages(tmp_path / "seen.mcap", messages)
-    part = {"file": "seen.mcap", "topic": "/label", "time": {}, **LABELED}
-    same_frames(import_csv(tmp_path, push, mapping_with(push, "L2", [part])).camera, push.camera)
+    upper, lower = ({"file": "seen.mcap", "topic": "/tf", "frame": name, "time": {}, **LABELED} for name in LINKS)
+    by_tree = {key: value for key, value in CAMERA_TABLE.items() if not key.startswith("in_base")}
+    mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": [upper, lower]})
+    same_frames(import_csv(tmp_path, fold, mapping).camera, fold.camera)
+    label = {"file": "seen.mcap", "topic": "/label", "time": {}, **LABELED}
+    mapping = mapping_with(fold, str(FOLD), [upper | {"base": "camera"}, label])
+    same_frames(import_csv(tmp_path, fold, mapping).camera, fold.camera)
+    parts = [upper, lower | {"frame": "lover"}]
+    mapping = mapping_of(fold, object=str(FOLD), camera={**by_tree, "parts": parts})
+    wrong = "camera.parts.1.frame: got 'lover'; allowed: one of camera, lower, upper (nearest: lower)"
+    assert wrong in refused(tmp_path / "log.csv", mapping)
+
+
+def transform(place: np.ndarray, turned: Rotation) -> dict[str, Any]:
+    return {
+        "translation": dict(zip("xyz", place.tolist(), strict=True)),
+        "rotation": dict(zip("xyzw", turned.as_quat().tolist(), strict=True)),
+    }
+
+
+def stamp_of(time: float) -> dict[str, int]:
+    whole = round((EPOCH + time) * 1e9)
+    return {"sec": whole // 10**9, "nanosec": whole % 10**9}
+
+
+def message(topic: str, kind: str, time: float, content: dict[str, Any]) -> tuple[str, str, int, bytes]:
+    return topic, kind, round((EPOCH + time) * 1e9), json.dumps(content).encode()
 
 
 def test_what_does_not_fit_is_refused(push: Trajectory, fold: Trajectory, tmp_path: Path):

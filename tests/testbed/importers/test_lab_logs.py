@@ -147,14 +147,16 @@ def test_a_turn_about_another_axis_than_the_vertical_is_refused(turn: Trajectory
     assert "about x, y and z; allowed: about z" in error
 
 
-def test_a_base_with_another_axis_up_is_turned(turn: Trajectory, back: Trajectory, tmp_path: Path):
+def test_a_base_with_another_axis_up_is_turned(slide: Trajectory, turn: Trajectory, back: Trajectory, tmp_path: Path):
     """y up, as motion capture has it: (x, y, z) of the base is (x, z, -y) of the log."""
-    up, logged, mapping = Rotation.from_rotvec([math.pi / 2, 0, 0]), columns(turn), mapping_of(turn)
-    position, quaternion = (np.column_stack([logged[n] for n in names]) for names in (POSITION, QUATERNION))
-    more = dict(zip(POSITION, up.inv().apply(position).T, strict=True))
-    more |= dict(zip(QUATERNION, (up.inv() * Rotation.from_quat(quaternion)).as_quat().T, strict=True))
-    mapping["hand"]["base_wxyz"] = up.as_quat(scalar_first=True).tolist()
-    windows_agree(import_csv(tmp_path, turn, mapping, **more), back, 1e-6)
+    up = Rotation.from_rotvec([math.pi / 2, 0, 0])
+    for trial, straight in ((turn, back), (slide, import_csv(tmp_path, slide, mapping_of(slide)))):
+        logged, mapping = columns(trial), mapping_of(trial)
+        position, quaternion = (np.column_stack([logged[n] for n in names]) for names in (POSITION, QUATERNION))
+        more = dict(zip(POSITION, up.inv().apply(position).T, strict=True))
+        more |= dict(zip(QUATERNION, (up.inv() * Rotation.from_quat(quaternion)).as_quat().T, strict=True))
+        mapping["hand"]["base_wxyz"] = up.as_quat(scalar_first=True).tolist()
+        windows_agree(import_csv(tmp_path, trial, mapping, **more), straight, 1e-6)
 
 
 @pytest.mark.parametrize(("sensor_hz", "hand_hz"), [(62.5, 100.0), (1000.0, 500.0)])

@@ -102,7 +102,7 @@ Z, LABEL = "property float z\n", "property uchar label\nend_header\n"
     [
         ("solid", "points.ply'; allowed: a PLY of points .*Not a ply file"),
         (HEAD_OF_CLOUD + LABEL + "0 0 1\n1 0 1\n0 1 2\n", "points.ply'; allowed: a PLY of points with x, y and z"),
-        (HEAD_OF_CLOUD + Z + LABEL + "0 0 0 1\n", "points.ply of 1 points'; allowed: 3 points, as its head says"),
+        (HEAD_OF_CLOUD + Z + LABEL + "0 0 0 1\n", "points.ply of 1 points'; allowed: 3 points, as its header states"),
     ],
 )
 def test_a_file_that_is_no_whole_cloud_is_refused(content: str, message: str, tmp_path: Path):

@@ -268,10 +268,8 @@ def test_pads_are_printed_once_a_kind_and_only_for_known_feet(tmp_path: Path, ca
     written(tmp_path, f"[feet]\nunder_each_m = {PADS}\n")
     main(["show", str(tmp_path / "corner.toml"), "--pads", str(tmp_path / "pads")])
     (path,) = (tmp_path / "pads").iterdir()
-    assert (
-        f"{path}: 49.0 x 49.0 x 4.5 mm" in (printed := capsys.readouterr().out.replace("\n", " "))
-        and "print 3" in printed
-    )
+    printed = capsys.readouterr().out.replace("\n", " ")
+    assert f"{path}: 49.0 x 49.0 x 4.5 mm" in printed and "print 3" in printed
     assert trimesh.load_mesh(path).is_watertight
     assert ended("show", "L2", "--pads", str(tmp_path / "none")) == 2
     assert "[feet]" in capsys.readouterr().err and not (tmp_path / "none").exists()

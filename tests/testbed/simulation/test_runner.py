@@ -130,8 +130,7 @@ def test_foot_forces_of_a_turn_carry_the_weight_and_oppose_the_motion():
     weight = feet.force[steady, :, 2].sum(1)
     assert_allclose(weight, obj.total_mass * GRAVITY, rtol=0.05)  # the gripper carries the rest
     drag = np.linalg.norm(feet.force[steady, :, :2], axis=2)
-    grasp = obj.shape.grasps[TURN.grasp].position
-    far = np.linalg.norm(obj.shape.particles[feet.particle] - grasp, axis=1) > 0.03
+    far = np.linalg.norm(obj.shape.particles[feet.particle] - TURN.pivot, axis=1) > 0.03
     assert_allclose(drag[:, far], 0.5 * feet.force[steady][:, far, 2], rtol=0.01)
 
 
@@ -232,7 +231,7 @@ def test_an_infeasible_trial_is_refused_before_anything_moves(obj, action, grip,
         SimulationRunner(SimulationSettings(grip=GripSettings(mode=grip))).run(Trial(obj, action, support))
 
 
-def test_a_setting_or_sensor_that_does_not_exist_is_refused():
+def test_a_wrong_timestep_and_an_unknown_sensor_are_refused():
     with pytest.raises(InvalidValueError, match="or a whole part of it"):
         SimulationSettings(timestep=0.003)
     with pytest.raises(InvalidValueError, match=r"^sensing: got 'ft300'; allowed: one of ideal, ft300s"):

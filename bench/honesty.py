@@ -121,7 +121,8 @@ def answered(
         if claimed is None:
             off = np.zeros(0)
         else:
-            off, width = off / claimed, float(np.median(2 * NINETY * claimed) / obj.total_mass)
+            width, bounded = float(np.median(2 * NINETY * claimed) / obj.total_mass), np.isfinite(claimed)
+            off = off[bounded] / claimed[bounded]
     return Judged(*labels, name, found.status, nad, tuple(off), width, spent, misfit, errors, least)
 
 

@@ -15,7 +15,7 @@ from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.random import RandomDrags, RandomPushes
-from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns
+from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, held_out_grasp, held_out_turns, sees_every_load
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.base import ActionPolicy
 from estimators.registry import POLICY
@@ -200,16 +200,22 @@ class Policy(BaseModel):
         """True if each draw of the sensor's errors has its own trials, chosen at random or by its wrenches."""
         return self.redraw or self.kind == "online"
 
-    def expected_trials(self, *, stands_in_groups: bool = True) -> int:
+    def expected_trials(self, shape: ObjectShape | None = None) -> int:
         """Number of trials of an experiment where nothing fails, the weighing among them.
 
         Args:
-            stands_in_groups: as `ObjectShape.stands_in_groups`; other objects are not pushed after turns.
+            shape: object, which is pushed only if its turns leave a load open; None counts no pushes after turns.
         """
-        ranked = self.rank_driven
-        planned = ranked.accelerated + ranked.pivots if ranked else 0 if self.kind == "stop_and_go" else self.touches
-        last = self.lifts_last or ((self.pushes or 0) if ranked and stands_in_groups else 0)
-        return 1 + planned + last + (self.held_out if self.grips else 0)
+        ranked, grips = self.rank_driven, self.grips and (shape is None or len(shape.grasps) > 0)
+        planned = 0 if self.kind == "stop_and_go" else self.touches
+        if ranked:
+            planned = (ranked.accelerated + ranked.pivots) * grips
+        last = self.lifts_last or 0
+        if ranked and not last and self.pushes and shape is not None and shape.stands_in_groups:
+            turned = ranked.predicted_actions(shape) if grips else []
+            if not sees_every_load(shape, [action for action in turned if action.dragged_steadily]):
+                last = self.pushes
+        return 1 + planned + last + self.held_out * grips
 
     @property
     def support_in_plan(self) -> str:

@@ -75,9 +75,9 @@ class ActionFamily:
         Args:
             shape: geometry and grasps.
             grasps: allowed grasps; without any, all actions are pushes.
-            count: about the number of actions. There are more where it is small: an accelerated turn, a turn, a push
-                and two lifts by each grasp, if the family has them, are drawn whatever it is. There are fewer where
-                actions are not possible, and beyond `MOST_PUSHES` and `MOST_DRAGS`.
+            count: approximate number of actions. At least one accelerated turn, one turn, one push and two lifts per
+                grasp are drawn, if the family has them; fewer than `count` where actions are not possible, and beyond
+                `MOST_PUSHES` and `MOST_DRAGS`.
             seed: seed of the draw.
 
         Raises:

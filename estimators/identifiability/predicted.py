@@ -249,9 +249,8 @@ def sensor_at_tcp(sensing: Sensing) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     In order: noise of the mean over one second, bias after the tare, and drift in one second.
     """
     std = np.array([*sensing.force_noise, *sensing.torque_noise])
-    std[[0, 1, 3, 4]] = np.sqrt(
-        (std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2
-    )  # mean over the directions of the hand
+    # mean over the directions of the hand
+    std[[0, 1, 3, 4]] = np.sqrt((std[[0, 0, 3, 3]] ** 2 + std[[1, 1, 4, 4]] ** 2) / 2)
     noise = std**2 / (RATE * (1 - sensing.lag1) / (1 + sensing.lag1))
     down = to_tcp()
     each = (noise, sensing.bias_std**2 + noise / TARED, sensing.drift_std**2)

@@ -64,9 +64,8 @@ def _equations(
         air = Air.of(shape, windows, lambda theta: Matter.of_vector(theta["body"]))
         sizes = stated_sizes(windows[0].setup, ("air", "reading"), trials=len(trials)) | errors.sizes(errors.sag)
         _, slopes = air.linearized(nominal({"body": torch.tensor(body)}, sizes))
-        if (
-            offset := windows[0].setup.particle_offset * len(trials) ** 0.5
-        ):  # for groups of masses in proportion to size
+        # for groups of masses in proportion to size
+        if offset := windows[0].setup.particle_offset * len(trials) ** 0.5:
             slopes["parts"] = slopes["place"][..., :2]
             sizes["parts"] = torch.full((2,), offset * float(np.linalg.norm(size / size.sum())))
         covariance = lift_covariance(shape, windows, slopes, sizes, errors, float(body[0]))

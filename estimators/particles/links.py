@@ -75,9 +75,10 @@ def hinge_frictions(torque: Iterable[float], std: Iterable[float], widening: flo
 
 
 def resting(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
-    """Part of the drag of each slow particle of unknown direction, one standard deviation along an axis.
+    """Standard deviation of each particle's drag along each axis, as a part of it, where its direction is unknown.
 
-    A particle is slow up to the camera's error of its speed; that of faster ones has a linear effect.
+    For particles slower than `RESTING` or than the camera's error of their speed; that of faster ones has a linear
+    effect.
     """
     known = table.velocity
     errors = torch.eye(windows.links_with_errors.shape[1], dtype=torch.float64)

@@ -174,11 +174,8 @@ class LinkMotion:
             return np.zeros((len(turned), 0, 9))
         grasp = self.shape.grasps[self.window.grasp]
         held = int(chain.link[self.shape.pressed(grasp)[0]])
-        turned = turned - turned[:, held, None] * [
-            1,
-            0,
-            0,
-        ]  # the hand's pose is known; the camera measures links relative to each other
+        # the hand's pose is known; the camera measures links relative to each other
+        turned = turned - turned[:, held, None] * [1, 0, 0]
         twists = np.tile(self.window.twists, (len(turned) // PARTS, 1))
         return chain.moved(held, grasp.position, twists, self.window.acceleration, turned)
 

@@ -50,9 +50,9 @@ class Observations(Motion):
     load_map: Float[Tensor, "K 3 6"]
     """Map from the wrench to lift and tilt."""
     load_kept: Float[Tensor, "K 3"]
-    """Shrinkage factor of a trial's mean lift and tilt, 0 to 1."""
+    """Part of a trial's mean lift and tilt that shrinkage keeps, 0 to 1."""
     load_followed: Float[Tensor, "K 3"]
-    """Shrinkage factor of their change from window to window of a trial, 0 to 1."""
+    """Part of their change from window to window of a trial that shrinkage keeps, 0 to 1."""
     load_size: Float[Tensor, "K 3"]
     """Standard deviation of a trial's mean lift and tilt, N and N m."""
     load_change: Float[Tensor, "K 3"]
@@ -206,7 +206,7 @@ class Observations(Motion):
 
     @property
     def twist_rates(self) -> Float[Tensor, "K S 3"]:
-        """Derivative of `twists` in time, m/s^2 and rad/s^2; with a single part only that of the turn rate, else 0."""
+        """Derivative of `twists` in time, m/s^2 and rad/s^2; with a single part, 0 for the velocity."""
         parts = self.twists.shape[1]
         if parts < 2:
             return torch.nn.functional.pad(self.acceleration[:, None, 2:], (2, 0))

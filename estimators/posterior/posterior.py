@@ -44,7 +44,7 @@ LEANS = 0.5
 """Slope of the log evidence in the logarithm of the groups' lean above which they lean further than level ones. Ours,
 calibrated on objects of seed 4242 of the honesty bench: level blocks reach it in 1 of 300."""
 LEAST_GROUPS = 4
-"""Number of groups above which trials show a size that all share: that of the smallest objects of that calibration."""
+"""Least number of groups whose trials show a size that all share: that of the smallest objects of that calibration."""
 LEAST_LEFT = 0.03
 """Lower bound of the part of the variance of a trial's rows that the fit leaves: below it slopes at the optimum say
 little of a fit without the trial. Ours, by single trials with a wrong grasp, sign or clock."""

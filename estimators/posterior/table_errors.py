@@ -217,7 +217,7 @@ def _of_motion(
 
 
 def _stuck(windows: Observations, table: Table) -> Float[Tensor, "K P"]:
-    """Part of the drag of each particle of a push of unknown direction, one standard deviation along each axis.
+    """Standard deviation of each particle's drag along each axis, as a part of it, where its direction is unknown.
 
     For particles slower than `SLOW` or than the camera's error of their speed; that of faster ones has a linear effect.
     """

@@ -33,8 +33,7 @@ def walk(since_tare: Float[Tensor, "*B K 2"]) -> Float[Tensor, "*B K K"]:
     """
     begin, end = since_tare.unbind(-1)
     middle = (begin + end) / 2
-    walked = torch.minimum(
-        middle[..., :, None], middle[..., None, :]
-    )  # covariance of the walk at two times: the earlier one
+    # covariance of the walk at two times: the earlier one
+    walked = torch.minimum(middle[..., :, None], middle[..., None, :])
     walked.diagonal(dim1=-2, dim2=-1).copy_(begin + (end - begin) / 3)
     return walked

@@ -63,9 +63,9 @@ class ShrunkenLoad(NamedTuple):
     load: Float[np.ndarray, "K 3"]
     """Shrunken loads."""
     kept: Float[np.ndarray, "K 3"]
-    """Shrinkage factor of a trial's mean load, 0 to 1."""
+    """Part of a trial's mean load that shrinkage keeps, 0 to 1."""
     followed: Float[np.ndarray, "K 3"]
-    """Shrinkage factor of the change from window to window, 0 to 1."""
+    """Part of the change from window to window that shrinkage keeps, 0 to 1."""
     size: Float[np.ndarray, "K 3"]
     """Standard deviation of a trial's mean load."""
     change: Float[np.ndarray, "K 3"]
@@ -220,7 +220,7 @@ def own_weight_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: Gripp
 
 
 def rigid_loads(model: ParticleModel, mass: Float[Tensor, "P"], load: GripperLoad) -> Float[Tensor, "K P"]:
-    """Loads of one rigid body, N: N_i = a + b x_i + c y_i over the particles in contact, by balance of forces."""
+    """Loads of one rigid body, N, in balance: N_i = a + b x_i + c y_i over the particles in contact."""
     from_grasp = load.lever
     total = mass.sum() * GRAVITY
     moment = GRAVITY * torch.einsum("p,kpd->kd", mass, from_grasp) + load.moment

@@ -212,7 +212,7 @@ class Table:
             force, torque = force + theta["force"], torque + cross(middle.place, theta["force"])
         wrench = torch.cat([force.sum(1), torque.sum(1)[:, None]], 1).mean(0)
         if "camera_errors" in theta:
-            moved, turn = self._seen(theta, window)[0]
+            moved, turn = self._camera_errors(theta, window)[0]
             pull = window["force"]
             wrench = wrench + torch.cat([turn * turned(pull), -cross(moved, pull)[None]])
         if not len(model.hinges):
@@ -234,7 +234,7 @@ class Table:
             rates = rates + theta["lead"] * window["ahead"][:, None]
         twist = theta.get("twist", torch.zeros(3, dtype=torch.float64))
         if "camera_errors" in theta:
-            twist = twist + self._seen(theta, window)[1]
+            twist = twist + self._camera_errors(theta, window)[1]
         if "twist" in theta or "camera_errors" in theta:  # other links keep their own rate, and follow their hinge
             held = window["held"][:, None]
             velocity = rates[..., :2] + twist[:2] + twist[2] * turned(window["trailing"])
@@ -260,7 +260,7 @@ class Table:
             shift * window["gripped"]
         )
 
-    def _seen(self, theta: Theta, window: Window) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+    def _camera_errors(self, theta: Theta, window: Window) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
         """Errors of a pushed object's motion by the camera.
 
         Returns:
@@ -347,7 +347,7 @@ class Table:
         """Inertial force on each particle and torque about its middle, N and N m; a tilt of the table included."""
         given = window["accelerations"] * (1 + theta.get("inertia", NONE))
         if "camera_errors" in theta:
-            given = given + torch.cat([self._seen(theta, window)[2], NONE[None]])
+            given = given + torch.cat([self._camera_errors(theta, window)[2], NONE[None]])
         angle, shift = self._in_hand(theta, window)
         if angle is not None:
             hand = torch.einsum("l,sln->sn", window["held"], given)[:, None]

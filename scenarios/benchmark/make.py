@@ -97,7 +97,7 @@ class _Simulated:
         self._run.expected = sum(cell.expected_trials for cell in wanted)
 
     def work_off(self) -> list[tuple[Cell, Entry]]:
-        """Simulate all trials: the problems whose trials succeeded, with their cells."""
+        """Simulate all trials; return the problems whose trials succeeded, with their cells."""
         work_off(self._tasks, self._run.start, self._prepare)
         self.left_out += [f"{each.particles.name}: {each.failure}" for each in self._ended if each.failure]
         done = [each for each in self._ended if not each.failure]

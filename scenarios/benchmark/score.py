@@ -22,7 +22,7 @@ from testbed.files import read_file
 from testbed.objects.model import MassDistribution, ObjectModel, ObjectShape
 
 ALPHA = 0.1
-"""Fraction of the truths outside intervals of the score at their nominal level."""
+"""Nominal fraction of the truths outside the intervals of the score."""
 MISSING = "missing"
 """Status of a problem without an answer."""
 

@@ -120,7 +120,7 @@ def run(
         if dry_run:
             show_dry_run(console, study, folder, workers)
             return
-    recorder = Recorder(folder, record, viewer.address() if live else None) if record or live else None
+    recorder = Recorder(folder, record, viewer.open_viewer() if live else None) if record or live else None
     begin = time.monotonic()
     views = (write_views.__module__,)  # imported while the first trials are planned, not after the last estimate
     with ExitStack() as stack:

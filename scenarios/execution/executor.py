@@ -112,7 +112,7 @@ class InlineExecutor:
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Run a task in this process: its value, a `Failure` if it raises, or an OSError of the disk."""
+    """Run a task in this process; return its value, a `Failure` if it raises, or an OSError of the disk."""
     try:
         return function(*arguments)
     except (Exception, SystemExit) as error:

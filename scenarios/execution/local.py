@@ -107,7 +107,7 @@ class _Lost:
 class _Worker:
     """Worker process in a pool of its own.
 
-    A killed worker may leave a locked lock or half a message, which are discarded with its pool.
+    A killed worker may leave a held lock or half a message, which are discarded with its pool.
     """
 
     def __init__(self, limits: Limits, preload: Sequence[str]):

@@ -42,7 +42,7 @@ class ImportedLog:
     key: str
     """Key of the trial."""
     source: dict[str, Any]
-    """Checksums of the files and the mapping, as in the trial's request."""
+    """Checksum of the files, and mapping, delay and stretch, as in the trial's request."""
     replaced: list[str] = field(default_factory=list)
     """Keys of the removed earlier trials of the same stretch."""
     alike: list[str] = field(default_factory=list)
@@ -120,7 +120,7 @@ def _read(path: Path, entry: LogMap, mapping: Path, delay: Delay | None, done: C
 
 
 def _source(path: Path, entry: LogMap, content: Mapping, folder: Path, delay: Delay | None) -> dict[str, Any]:
-    """Checksums of a trial's files, mapping and delay: all that its trajectory depends on."""
+    """Checksum of a trial's files, and its mapping, delay and stretch: all that its trajectory depends on."""
     table = content.for_entry(entry)
     checksum = _checksum([path, *([folder / table.sensor.file] if table.sensor.file else [])])
     read: dict[str, Any] = {"sha256": checksum, "mapping": table.model_dump(exclude_none=True)}

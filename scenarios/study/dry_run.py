@@ -14,6 +14,7 @@ from scenarios.config import Scenario
 from scenarios.study.experiment import link_refusal, object_paths
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.objects.files import load_object
+from testbed.objects.model import ObjectShape
 
 TRIAL_S = 0.7
 """Time of a trial of the default policy on one core, on average over the library [s]."""
@@ -77,11 +78,11 @@ class DryRun:
             estimates += pairs * draws * len(point.methods)
             seconds += (pairs + (LINKED - 1) * linked * len(point.support)) * draws * draw_s
             fields, runs = _fields_of_trials(point), len(point.support) * len(point.own_draws())
-            stands = {path: shape_of(path).stands_in_groups for path in point.objects}
-            stands |= {f"{each!r} {name}": each.feet_m is None for each in point.random for name in each.names()}
-            new = {(fields, name) for name in stands} - counted
+            shapes: dict[str, ObjectShape | None] = {path: shape_of(path) for path in point.objects}
+            shapes |= {f"{each!r} {name}": None for each in point.random for name in each.names()}
+            new = {(fields, name) for name in shapes} - counted
             counted |= new
-            made = runs * sum(point.policy.expected_trials(stands_in_groups=stands[name]) for _, name in new)
+            made = runs * sum(point.policy.expected_trials(shapes[name]) for _, name in new)
             trials += made
             seconds += made * TRIAL_S
             if point.policy.kind == "online":

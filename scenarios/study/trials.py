@@ -56,10 +56,7 @@ class TrialRun:
     """Reasons why trials were refused or failed, by key."""
 
     def __post_init__(self) -> None:
-        self.expected = sum(
-            each.scenario.policy.expected_trials(stands_in_groups=each.particles.shape.stands_in_groups)
-            for each in self.waiting
-        )
+        self.expected = sum(each.scenario.policy.expected_trials(each.particles.shape) for each in self.waiting)
 
     def start(self) -> bool:
         """Start the next known trial or the next experiment; False where there is neither."""

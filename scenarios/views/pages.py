@@ -169,7 +169,7 @@ def record_results(folder: Path) -> Path:
 
 
 def record_worst(folder: Path, rows: Sequence[Row]) -> None:
-    """Record the worst estimates of the report, which links to them; without a trial's robot."""
+    """Record the worst estimates of the report, which links to them, without a view of the robot."""
     for row in itertools.chain(*worst_of(rows)):
         if has_files(row) and row.get("trial_keys") is not None:
             path = recording_path(folder, row["key"])
@@ -179,7 +179,7 @@ def record_worst(folder: Path, rows: Sequence[Row]) -> None:
 
 @dataclass(frozen=True)
 class Recorder:
-    """Receiver of finished trials and estimates; writes their recordings, or sends them to a viewer."""
+    """Receiver of finished trials and estimates; writes their recordings, sends them to a viewer, or both."""
 
     folder: Path
     files: bool = False

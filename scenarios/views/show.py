@@ -72,7 +72,7 @@ def show(
     else:
         if not (viewer.listens() or viewer.has_display()):
             raise viewer.ViewerError("no display: web=True serves the viewer to a browser, file= writes a recording")
-        send(page, viewer.address())
+        send(page, viewer.open_viewer())
 
 
 def serve(recording: Path, port: int = 0) -> None:

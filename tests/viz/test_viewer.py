@@ -101,7 +101,7 @@ def test_an_open_viewer_receives_trials_and_estimates(finished_run, tmp_path):
     port = viewers.free_port()
     turn = next(path.parent.name for path in finished_run.glob("trials/*/foot_forces.parquet"))
     with viewer(None, tmp_path, port) as client:
-        recorder = Recorder(finished_run, url=viewers.address(port))
+        recorder = Recorder(finished_run, url=viewers.open_viewer(port))
         recorder("trial", turn)
         recorder("estimate", key_of(finished_run, "hidden_states"))
 
@@ -126,13 +126,13 @@ def test_without_a_display_the_command_names_the_other_ways(tmp_path, capsys):
     assert (ended.value.code, output.count("\n")) == (2, 1)
     assert "--web" in output
     with pytest.raises(viewers.ViewerError, match="no viewer listens"):
-        viewers.address(viewers.free_port())
+        viewers.open_viewer(viewers.free_port())
 
 
 def test_an_open_viewer_is_used():
     with socket.create_server((viewers.HOST, 0)) as server:
         port = server.getsockname()[1]
-        assert viewers.address(port) == f"rerun+http://127.0.0.1:{port}/proxy"
+        assert viewers.open_viewer(port) == f"rerun+http://127.0.0.1:{port}/proxy"
 
 
 SERVING = """

@@ -148,7 +148,10 @@ def axis_label(axis_column: str) -> str:
 
 
 def _scale(axis: XAxis | YAxis, values: np.ndarray) -> None:
-    """Make an axis logarithmic for values of WIDE_RANGE; with zeros, linear up to the decade of the least value."""
+    """Make an axis logarithmic for values of a ratio of WIDE_RANGE or more.
+
+    With zeros, it is linear up to the decade of the least positive value.
+    """
     positive = values[values > 0]
     if len(positive) == 0 or values.min() < 0 or positive.max() < WIDE_RANGE * positive.min():
         return

@@ -297,7 +297,7 @@ class _TurnScene:
 
     @property
     def _frames(self) -> Frames:
-        """Evenly spread samples; the middle steady one is at rest."""
+        """Evenly spread samples; on the other timeline, the middle steady one."""
         kept = self._kept
         steady = np.flatnonzero(self.trajectory.mask(Phase.STEADY)[kept])
         rest = steady[len(steady) // 2] if len(steady) else len(kept) // 2

@@ -80,7 +80,7 @@ def open_file(path: Path) -> None:
         raise ViewerError(reason(run.stderr))
 
 
-def address(port: int = PORT) -> str:
+def open_viewer(port: int = PORT) -> str:
     """Address of a viewer that receives recordings: the open one, or a new one.
 
     Raises:

@@ -79,8 +79,8 @@ INERTIA = Metric("inertia_error", "I_cm over the true one less 1, %", 100.0, {})
 
 def metrics_of(rows: Sequence[Row]) -> list[Metric]:
     """Metrics with a value in some row; the friction of hinges comes after NAD."""
-    known = lambda metric: (value for row in rows if (value := row.get(metric.column)) is not None)  # noqa: E731
-    return [metric for metric in (NAD, HINGES, *METRICS[1:]) if any(map(math.isfinite, known(metric)))]
+    values = [(metric, [row.get(metric.column) for row in rows]) for metric in (NAD, HINGES, *METRICS[1:])]
+    return [metric for metric, column in values if any(v is not None and math.isfinite(v) for v in column)]
 
 
 def number(value: float, like: float | None = None) -> str:

@@ -80,12 +80,12 @@ def _viewer(serial: str) -> Callable[[list[float], np.ndarray], None] | None:
     """A function that sends samples to Rerun; None, with the reason printed, without a viewer."""
     try:
         from viz.recordings.trial import SensorStream
-        from viz.recordings.viewer import ViewerError, address
+        from viz.recordings.viewer import ViewerError, open_viewer
     except ImportError:
         print("Rerun is not installed; numbers instead")
         return None
     try:
-        return SensorStream(address(), f"sensor {serial}").send
+        return SensorStream(open_viewer(), f"sensor {serial}").send
     except ViewerError as error:
         print(f"{error}; numbers instead")
         return None

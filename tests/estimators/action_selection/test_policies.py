@@ -177,10 +177,14 @@ def test_a_scenario_asks_for_lifts():
     ours = Policy(lifts=1).build((0, 1), L2, settings)
     assert ours == StopAndGo(1, (0, 1), Policy().build((0, 1), L2, settings))
     assert Policy(lifts=3).expected_trials() == Policy().expected_trials() + 3
-    assert Policy(pushes=10).expected_trials() == Policy().expected_trials() + 10
-    assert Policy(pushes=10).expected_trials(stands_in_groups=False) == Policy().expected_trials()
-    assert Policy(pushes=10, lifts=3).expected_trials() == Policy(lifts=3).expected_trials()
-    assert Policy(kind="greedy", pushes=10).expected_trials() == Policy(kind="greedy").expected_trials()
+    pushed, turned = load_object("scenarios/library/objects/rectangle_2x3.toml").shape, load_object("L2").shape
+    for policy, shape, trials in (
+        (Policy(pushes=10), pushed, 1 + 10),
+        (Policy(pushes=10), turned, Policy().expected_trials()),
+        (Policy(pushes=10), None, Policy().expected_trials()),
+        (Policy(kind="greedy", pushes=10), turned, Policy(kind="greedy").expected_trials()),
+    ):
+        assert policy.expected_trials(shape) == trials
     assert Policy(kind="stop_and_go", held_out=0).expected_trials() == 3
     for kind in ("greedy", "package:Class"):
         with pytest.raises(ValueError, match="lifts"):

@@ -293,7 +293,8 @@ def by_c1(lift: Trajectory) -> Trajectory:
 
 
 STILL = inertial_equations(motion(body()[2], still=True), IDEAL)
-BRIEF = HeldMotion(np.arange(5.0), *np.zeros((3, 5, 3)), np.zeros((5, 6)))
+AT_REST = np.zeros((5, 3))
+BRIEF = HeldMotion(np.arange(5.0), AT_REST, AT_REST, AT_REST, np.zeros((5, 6)))
 ONE_LIFT = "one or more lifts that ended well"
 
 

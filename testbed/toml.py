@@ -10,20 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from testbed.errors import HeftError, InvalidValueError, nearest, short
 from testbed.files import read_file
-from testbed.validation import unit_quaternion
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-UnitQuaternion = Annotated[
-    list[Finite],
-    Field(min_length=4, max_length=4),
-    AfterValidator(lambda wxyz: unit_quaternion("", wxyz).tolist()),
-]
 MOST_BYTES, MOST_ENTRIES, MOST_DEPTH, MOST_LINES = 2**20, 100_000, 32, 20
 """Largest size of a file [B], number of its values, and depth of its tables; number of errors that are listed."""
 LARGEST = 1e15

@@ -14,10 +14,16 @@ from testbed.objects.files import Side
 from testbed.objects.model import GRAVITY, ROBOTIQ_2F85, Hand
 from testbed.sensing.camera import CAMERAS
 from testbed.sensing.presets import preset
-from testbed.toml import Finite, NonNegative, Positive, UnitQuaternion
+from testbed.toml import Finite, NonNegative, Positive
 
 ISO = "iso"
 """Unit of a table's times that are dates by ISO 8601."""
+
+
+def _unit_quaternion(wxyz: list[float]) -> list[float]:
+    if not 0.999 < sum(q * q for q in wxyz) < 1.001:
+        raise InvalidValueError("", wxyz, "a unit quaternion, wxyz")
+    return wxyz
 
 
 def _unit_of(quantity: str, *others: str) -> AfterValidator:
@@ -35,6 +41,7 @@ Cell = Text | Finite
 """Column by name, or a constant."""
 Three = Annotated[list[Cell], Field(min_length=3, max_length=3)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+UnitQuaternion = Annotated[list[Finite], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 OrientationAs = Literal["wxyz", "xyzw", "rotation_vector", "roll_pitch_yaw", "yaw", "matrix"]
 _COLUMNS = {"wxyz": 4, "xyzw": 4, "rotation_vector": 3, "roll_pitch_yaw": 3, "yaw": 1, "matrix": 9}
 """Number of columns of an orientation in each representation."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import InvalidValueError
 from testbed.files import write_text
@@ -14,7 +14,8 @@ from testbed.objects.model import GRAVITY
 from testbed.robot.calibration.hand_eye import HandEye
 from testbed.robot.calibration.static_poses import Calibration
 from testbed.robot.interfaces import Pose
-from testbed.toml import Finite, NonNegative, Positive, UnitQuaternion, fitted, load_toml, toml_text
+from testbed.toml import Finite, NonNegative, Positive, fitted, load_toml, toml_text
+from testbed.validation import unit_quaternion
 
 _THREE, _SIX = Field(min_length=3, max_length=3), Field(min_length=6, max_length=6)
 Vector = Annotated[list[Finite], _THREE]
@@ -24,6 +25,11 @@ Center = Annotated[list[Annotated[float, Field(ge=-0.5, le=0.5, allow_inf_nan=Fa
 Gains = Annotated[list[Annotated[float, Field(ge=0.5, le=2, allow_inf_nan=False)]], _SIX]
 Deviations = Annotated[list[NonNegative], _THREE]
 Walk = Annotated[list[Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]], _SIX]
+Quaternion = Annotated[
+    list[Finite],
+    Field(min_length=4, max_length=4),
+    AfterValidator(lambda wxyz: unit_quaternion("", wxyz).tolist()),
+]
 
 
 class CalibrationFile(BaseModel):
@@ -36,7 +42,7 @@ class CalibrationFile(BaseModel):
     made: str
     """Date, in any format."""
     sign: Literal[1, -1]
-    sensor_in_hand_wxyz: UnitQuaternion
+    sensor_in_hand_wxyz: Quaternion
     sensor_in_hand_std_rad: Deviations
     bias_force_N: Force
     bias_force_std_N: Deviations
@@ -87,7 +93,7 @@ class HandEyeFile(BaseModel):
     made: str
     """Date, in any format."""
     tracker_in_base_m: Vector
-    tracker_in_base_wxyz: UnitQuaternion
+    tracker_in_base_wxyz: Quaternion
     residual_m: NonNegative
     standard_error_m: NonNegative
 

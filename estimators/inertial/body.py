@@ -57,7 +57,7 @@ class InertialParameters:
         return bool(np.linalg.eigvalsh(pseudo_inertia(self.vector))[0] > 0)
 
     def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> InertialParameters:
-        """The same body in another frame, of axes `rotation` (columns) and `origin` (m) in the present one."""
+        """Parameters in another frame, with axes `rotation` (columns) and `origin` [m] given in the present one."""
         center = rotation.T @ (self.center_of_mass - origin)
         return InertialParameters(self.mass, center, rotation.T @ self.inertia @ rotation)
 

@@ -174,7 +174,7 @@ def test_a_device_that_cannot_be_built_is_named(folder, install, table, field):
 
 @pytest.mark.slow
 def test_a_calibration_by_hand_is_found_and_saved(folder, capsys, monkeypatch):
-    """Of the poses set by hand one is refused, since the arm still moves."""
+    """Poses set by hand, one of which is refused since the arm still moves."""
     model = f'model = "{__name__}:Still"\n'
     (folder / "robot.toml").write_text(f"[sensor]\n{model}[arm]\n{model}", encoding="utf-8")
     monkeypatch.setattr(Still, "at", -1)

@@ -64,7 +64,7 @@ def test_without_noise_all_comes_back(mount: Rotation, sign: int):
 
 @pytest.mark.slow
 def test_with_noise_errors_are_as_large_as_it_says():
-    """Of two mounts and signs in turn: errors are in the sensor's axes, which the mount only turns."""
+    """Two mounts and signs in turn: errors are in the sensor's axes, which the mount only turns."""
     draws, scores = 60, []
     for seed in range(draws):
         mount, sign = ((MOUNTS[1], 1), (MOUNTS[6], -1))[seed % 2]

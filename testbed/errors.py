@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -46,6 +46,11 @@ def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str:
     folded = {known.casefold(): known for known in names}
     close = difflib.get_close_matches(name[:_LONGEST].casefold(), folded, n=1, cutoff=cutoff)
     return f" (nearest: {folded[close[0]]})" if close else ""
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Text of the first `most` names, with "..." for the others."""
+    return ", ".join(names[:most]) + ", ..." * (len(names) > most)
 
 
 def one_line(text: str) -> str:

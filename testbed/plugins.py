@@ -25,7 +25,7 @@ from typing import Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from testbed.errors import HeftError, InvalidValueError, nearest, one_line
+from testbed.errors import HeftError, InvalidValueError, listed, nearest, one_line
 from testbed.trial import TrialRunner
 from testbed.validation import arguments_of
 
@@ -125,8 +125,7 @@ def load_class(path: str, role: Role[T], field: str) -> type[T]:
     kind = getattr(module, attribute, None)
     if kind is None:
         own = _classes_of(module)
-        listed = ", ".join(own[:_MOST_LISTED]) + ", ..." * (len(own) > _MOST_LISTED)
-        known = f"a class of {name}: {listed or 'it defines none'}{nearest(attribute, own)}"
+        known = f"a class of {name}: {listed(own, _MOST_LISTED) or 'it defines none'}{nearest(attribute, own)}"
         raise InvalidValueError(field, path, known)
     if wrong := _breach(kind, role):
         raise InvalidValueError(field, path, f"a class with {' and '.join(role.calls)}, as {role.protocol}; {wrong}")

@@ -19,7 +19,7 @@ from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
 from estimators.wrench.model import ParticleModel, inertia_of
 from estimators.wrench.support import ASSUMPTION
-from testbed.errors import InvalidValueError
+from testbed.errors import InvalidValueError, listed
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.trajectory import Trajectory
 from testbed.validation import is_number
@@ -175,13 +175,12 @@ class SupportAware:
             f"{shape.n_m} masses from {known} alone, under one rigid body",
         )
         ranges = [f"{name} {a:.3f} to {b:.3f} kg" for name, a, b in zip(shape.group_names, low, high, strict=True)]
-        listed = ", ".join(ranges[:MOST_LISTED]) + (", ..." if len(ranges) > MOST_LISTED else "")
         holds = rigid.explained.explains and polytope.inside[1] <= MAX_MISS
         ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
             MassDistribution(mean, rigid.unknowns.values(rigid.optimum.z)["friction"].numpy()),
             "underdetermined",
-            f"{known} hold the masses to ({100 * self.confidence:g} %): {listed}" if holds else "",
+            f"{known} hold the masses to ({100 * self.confidence:g} %): {listed(ranges, MOST_LISTED)}" if holds else "",
             covariance=covariance,
             hidden=hidden,
             diagnostics=numbers | rigid.explained.diagnostics | ends | {"polytope_miss": polytope.inside[1]},

@@ -17,7 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from testbed.errors import HeftError, InvalidValueError
+from testbed.errors import HeftError, InvalidValueError, listed
 from testbed.files import UNSEALED, DamagedFileError, load_sealed, unless_damaged, write_sealed
 
 LOCK = ".lock"
@@ -144,7 +144,7 @@ def plain(value: Any) -> Any:
 
 def some_keys(keys: Sequence[str]) -> str:
     """Beginnings of the first keys, for a message."""
-    return ", ".join(key[:SHOWN] for key in keys[:MOST_KEYS]) + (", ..." if len(keys) > MOST_KEYS else "")
+    return listed([key[:SHOWN] for key in keys], MOST_KEYS)
 
 
 def check_unambiguous(field: str, beginning: str, keys: Sequence[str]) -> None:

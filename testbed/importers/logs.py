@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from testbed.errors import HeftError, InvalidValueError, nearest
+from testbed.errors import HeftError, InvalidValueError, listed, nearest
 from testbed.parsing.process import ParserError, parsed
 
 _GRAVITY = 9.80665  # of the kilogram-force and the pound-force, by definition
@@ -165,6 +165,5 @@ def in_order(path: Path, field: str, time: np.ndarray, values: np.ndarray) -> Se
 
 def unknown(field: str, name: str | None, known: list[str], path: Path) -> InvalidValueError:
     """Error for a name that a log does not have; it names the nearest."""
-    listed = ", ".join(known[:MOST_LISTED]) + (", ..." if len(known) > MOST_LISTED else "")
-    allowed = f"one of {listed or 'nothing: it is empty'}{nearest(str(name), known, 0.4)}"
+    allowed = f"one of {listed(known, MOST_LISTED) or 'nothing: it is empty'}{nearest(str(name), known, 0.4)}"
     return InvalidValueError(field, name, allowed, file=path)

@@ -64,7 +64,7 @@ def touch(
     from scenarios.results.store import Store
     from scenarios.results.table import write_rows
     from scenarios.study.active import ActiveRun
-    from scenarios.study.run import check_nothing_lost, manifest
+    from scenarios.study.run import ACTIVE_FIELDS, check_nothing_lost, manifest
     from scenarios.views.pages import record_all, record_results
     from scenarios.views.report import report
     from testbed.objects.files import load_object
@@ -86,10 +86,9 @@ def touch(
     folder = out or Path("results") / f"touch_{model.name}"
     store = Store(folder.absolute(), f"touch/{search.seed}")
     scenario = Scenario(objects=[object_], support=[support or carrier.name], sensing=[search.sensing], seeds=1)
-    check_nothing_lost(folder, scenario, store.secret)
+    check_nothing_lost(folder, scenario, store.secret, ACTIVE_FIELDS)
     facts = manifest(scenario, store.secret) | {"name": folder.name, "command": _command(object_, search, support, out)}
-    # the rest of a scenario, a policy and methods by default, did not run
-    facts["scenario"] = scenario.model_dump(include={"objects", "support", "sensing", "seeds"})
+    facts["scenario"] = scenario.model_dump(include=ACTIVE_FIELDS)
     with exclusive(folder):
         store.remove_leftovers()
         write_json(folder / "manifest.json", facts | {"finished": False})

@@ -36,6 +36,8 @@ SENSING = "as measured"
 """Name of the sensor in the results: its errors are in the records."""
 DEFAULT_SCENARIO = "blocks"
 """Scenario whose methods are used on measured trials by default."""
+ACTIVE_FIELDS = {"objects", "support", "sensing", "seeds"}
+"""Fields of a scenario that determine an active run: it has no methods."""
 
 
 def run_scenario(
@@ -125,8 +127,16 @@ def _contents(scenario: Scenario) -> dict[str, str]:
     return {each.name: key_of(object_request(each)) for each in objects}
 
 
-def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = None) -> None:
+def check_nothing_lost(
+    folder: Path, scenario: Scenario, secret: str | None = None, fields: set[str] | None = None
+) -> None:
     """Check that a run into a folder continues the results there, or adds to them.
+
+    Args:
+        folder: results folder.
+        scenario: scenario of the run.
+        secret: text that seeds all draws; default: that of the folder.
+        fields: fields of the scenario that determine the run; default: all.
 
     Raises:
         InvalidValueError: the folder holds results of other objects, methods, seeds, draws or settings, or of objects
@@ -138,8 +148,10 @@ def check_nothing_lost(folder: Path, scenario: Scenario, secret: str | None = No
     held = found.get("scenario")
     if held is None or not (folder / "results.parquet").is_file():
         return
-    asked = json.loads(json.dumps(scenario.model_dump()))
-    other = [field for field in held if not _includes(field, held[field], asked.get(field))]
+    asked = json.loads(json.dumps(scenario.model_dump(include=fields)))
+    other = [field for field in held if field not in asked or not _includes(field, held[field], asked[field])]
+    if "methods" in asked and "methods" not in held:
+        other.append("methods")
     kept = found.get("secret", "")
     if not kept or secret not in (None, kept):
         other.append("secret" if kept else "measured trials, or draws without a secret by heft 0.1.0")

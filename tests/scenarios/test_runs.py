@@ -22,7 +22,7 @@ from scenarios.results.table import rows_of
 from scenarios.study import run as study
 from scenarios.study import trials
 from scenarios.study.experiment import experiments_of
-from scenarios.study.run import check_nothing_lost, manifest, run_scenario
+from scenarios.study.run import ACTIVE_FIELDS, check_nothing_lost, manifest, run_scenario
 from scenarios.views import finished as views
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from tests.helpers.commands import refusal
@@ -184,6 +184,17 @@ def test_no_point_of_a_sweep_is_lost(tmp_path, held: Sweep, asked: Sweep, kept: 
     write_json(tmp_path / "manifest.json", manifest(blocks.model_copy(update={"sweep": held}), "secret"))
     with nullcontext() if kept else pytest.raises(InvalidValueError, match=r"results of another run \(sweep\)"):
         check_nothing_lost(tmp_path, blocks.model_copy(update={"sweep": asked}))
+
+
+def test_an_active_run_and_a_scenario_do_not_replace_each_other(tmp_path):
+    asked = Scenario(objects=["L2"], seeds=1)
+    tmp_path.joinpath("results.parquet").touch()
+    for fields, others in ((None, ACTIVE_FIELDS), (ACTIVE_FIELDS, None)):
+        facts = manifest(asked, "secret") | {"scenario": asked.model_dump(include=fields)}
+        write_json(tmp_path / "manifest.json", facts)
+        check_nothing_lost(tmp_path, asked, "secret", fields)
+        with pytest.raises(InvalidValueError, match=r"results of another run \(.*methods.*\)"):
+            check_nothing_lost(tmp_path, asked, "secret", others)
 
 
 def test_results_of_object_files_go_on_in_another_checkout(tmp_path):

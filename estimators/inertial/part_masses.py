@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.optimize import nnls
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from estimators.inertial.body import InertialParameters
 from estimators.inertial.equations import InertialEquations
@@ -80,7 +80,7 @@ def part_ranges(
     best, left = nnls(rows / size, equations.values)
     scale = float(best.sum())  # masses as parts of the whole
     spread = max(equations.misfit, left**2 / max(equations.freedom, 1), 1.0)
-    radius = float(np.sqrt(left**2 + spread * chi2.ppf(level, 1)))
+    radius = float(np.sqrt(left**2 + spread * chdtri(1, 1 - level)))
     count = len(places)
     matrix = np.vstack([-np.eye(count), np.zeros((1, count)), -rows / size * scale / radius])
     bound = np.concatenate([np.zeros(count), [1.0], -equations.values / radius])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 CHANCE = 1e-3
 """Probability of a misfit as large under the stated errors, below which errors are widened."""
@@ -38,7 +38,7 @@ class Misfit:
     @property
     def by_chance(self) -> bool:
         """True if the stated errors alone explain the misfit."""
-        return self.freedom < 1 or self.value <= max(1.0, float(chi2.isf(CHANCE, self.freedom)) / self.freedom)
+        return self.freedom < 1 or self.value <= max(1.0, float(chdtri(self.freedom, CHANCE)) / self.freedom)
 
     @property
     def widening(self) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from estimators.posterior.estimator import posterior_of
 from estimators.posterior.on_table import OnTable
@@ -116,7 +116,7 @@ def support_test(
     sprung = posterior_of(shape, weight, trajectories, "springs", errors=errors, near=near, rigid_share=start)
     assert sprung is not None
     share, error = _share(sprung, near, end)
-    refuted = 2 * norm.sf(abs(share - end) / error) < level and (end == 0 or abs(share - end) > NEARLY)
+    refuted = 2 * ndtr(-abs(share - end) / error) < level and (end == 0 or abs(share - end) > NEARLY)
     shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if refuted else None
     if shared is not None:
         share, error = map(float, shared.of("rigid_share"))

@@ -11,8 +11,7 @@ from functools import reduce
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp
-from scipy.stats import chi2
+from scipy.special import chdtrc, logsumexp
 
 from testbed.errors import InvalidValueError
 
@@ -106,7 +105,7 @@ def rank_assignments(
     kept = np.argsort(exact, kind="stable")
     listed = exact[kept]
     probability = np.exp(-listed / 2 - max(total, float(logsumexp(-listed / 2))))
-    return RankedAssignments(digits[kept], probability, float(listed[0]), float(chi2.sf(listed[0], len(rows))))
+    return RankedAssignments(digits[kept], probability, float(listed[0]), float(chdtrc(len(rows), listed[0])))
 
 
 def _sums(rows: np.ndarray, options: np.ndarray) -> np.ndarray:

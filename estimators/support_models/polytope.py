@@ -14,7 +14,6 @@ from jaxtyping import Float
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.special import ndtr, ndtri
-from scipy.stats import norm
 
 CHAINS, STEPS, SETTLING = 256, 240, 60
 """Number of hit-and-run chains, steps of each, and steps before the first draw."""
@@ -54,7 +53,7 @@ class MassPolytope:
         is, within the least number that any map needs.
         """
         count, n = self.rows.shape
-        reach = float(norm.ppf((1 + confidence ** (1 / count)) / 2))
+        reach = float(ndtri((1 + confidence ** (1 / count)) / 2))
         reach = max(reach, self.inside[1] * (1 + 1e-6) + 1e-9)
         scale = np.linalg.norm(self.rows, axis=1)[:, None]
         limits = np.vstack([self.rows, -self.rows]) / np.vstack([scale, scale])

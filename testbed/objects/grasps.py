@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from testbed.errors import InvalidValueError
 from testbed.objects.model import FINGER_DEPTH, PAD_HEIGHT, PAD_WIDTH, SPARE_OPENING, STROKE, TOUCH, Grasp
 from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
+
+if TYPE_CHECKING:
+    import trimesh
 
 _PATCH = 0.001
 """Distance between the rays that measure the gripped faces [m]."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from manifold3d import Error, JoinType, Manifold, Mesh64
 from scipy.spatial.distance import cdist
@@ -21,6 +21,9 @@ from testbed.objects.grasps import GraspPlace, grasp_at
 from testbed.objects.model import TOUCH, MassDistribution, ObjectModel, ObjectShape, Solid
 from testbed.objects.rays import OFF_CENTER, RayGrid, grid_hits
 from testbed.validation import check_integer
+
+if TYPE_CHECKING:
+    import trimesh
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # heft reports its errors
 FORMATS = ("stl", "obj", "ply", "off")
@@ -60,6 +63,8 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     Raises:
         InvalidValueError: no such file, not a mesh, or not watertight.
     """
+    import trimesh  # noqa: PLC0415  with networkx a tenth of every process's start
+
     kind = path.suffix.lower().removeprefix(".")
     if kind not in FORMATS:
         raise InvalidValueError("file", path.name, f"a mesh file: {', '.join(FORMATS)}")
@@ -188,6 +193,8 @@ def manifold(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) 
 
 def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Several surfaces as one, without merging their vertices."""
+    import trimesh  # noqa: PLC0415
+
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return trimesh.Trimesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces), process=False)

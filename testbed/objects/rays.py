@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from testbed.frames import cross_2d
+
+if TYPE_CHECKING:
+    import trimesh
 
 _PAIRS = 4_000_000
 """Greatest number of pairs of triangle and ray in one batch, about."""

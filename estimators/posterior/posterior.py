@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.stats import chi2
+from scipy.special import chdtrc, gammaln
 from torch import Tensor
 
 from estimators.base import Estimate
@@ -53,6 +53,19 @@ IMPLAUSIBLE = 1e-6
 that shows a wrong weight, is `CHANCE`."""
 
 
+def log_chance(square: float, count: int) -> float:
+    """Log probability that the sum of `count` squared standard normal numbers is at least `square`.
+
+    Where it underflows, the leading term for large sums: parts far from plausible keep their order.
+    """
+    if chance := float(chdtrc(count, square)):
+        return math.log(chance)
+    if math.isinf(square):
+        return -math.inf
+    a, x = count / 2, square / 2
+    return float((a - 1) * math.log(x) - x - gammaln(a) - math.log1p((1 - a) / x))
+
+
 @dataclass(frozen=True)
 class Part:
     """Part of a misfit: the rows of a trial, or a nuisance."""
@@ -71,7 +84,7 @@ class Part:
     def of(name: str, values: Float[Tensor, "m"], trial: int | None = None, *, of_rows: bool = False) -> Part:
         """Part that consists of some whitened values."""
         square = float(values.square().sum())
-        return Part(name, square / len(values), float(chi2.logsf(square, len(values))), trial, of_rows)
+        return Part(name, square / len(values), log_chance(square, len(values)), trial, of_rows)
 
     @property
     def sentence(self) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
+from scipy.special import log_ndtr
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -18,7 +19,7 @@ from estimators.posterior import solver, table_errors
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.in_air import InAir
 from estimators.posterior.on_table import ContactPatterns, OnTable
-from estimators.posterior.posterior import Posterior
+from estimators.posterior.posterior import Part, Posterior, log_chance
 from estimators.posterior.priors import RADIUS, priors
 from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Linearized, solve
@@ -42,6 +43,18 @@ CHAIN = drawn_chain(1)
 LAB = world("lab").stated
 PLASTIC = replace(LAB, friction_law=0.1)
 SHARP = replace(EXACT, weight_error=1e-6)
+
+
+@pytest.mark.parametrize("square", [0.3, 40.0, 1400.0, 1500.0, 1e4, 1e9])
+def test_the_chance_of_a_sum_of_squares_is_exact_where_it_underflows(square: float):
+    assert_allclose(log_chance(square, 1), math.log(2) + log_ndtr(-math.sqrt(square)), rtol=1e-8)
+    assert_allclose(log_chance(square, 2), -square / 2, rtol=1e-8)
+
+
+def test_parts_far_from_plausible_keep_their_order():
+    deviations = torch.tensor([10.0, 40.0, 60.0, 1e4, math.inf])
+    chances = [Part.of("gain", deviation * torch.ones(3)).log_chance for deviation in deviations]
+    assert chances == sorted(set(chances), reverse=True)
 
 
 @cache

@@ -126,7 +126,7 @@ def trial(
     if planned.action.grasp is not None and not hand.takes(planned.grasp.width):
         given = f"{planned.grasp.name}, {planned.grasp.width * 1e3:.0f} mm across"
         raise InvalidValueError(
-            "grasp", given, f"{SPARE_OPENING * 1e3:.0f} mm less than the hand's {hand.stroke * 1e3:g} mm"
+            "--grasp", given, f"{SPARE_OPENING * 1e3:.0f} mm less than the hand's {hand.stroke * 1e3:g} mm"
         )
     if weight is not None:
         _store(read_off(weight), planned, file, out)
@@ -192,7 +192,7 @@ def action_of(
         return Weigh()
     names = [g.name for g in shape.grasps]
     if grasp is not None and grasp not in names:
-        raise InvalidValueError("grasp", grasp, f"one of {', '.join(names)}")
+        raise InvalidValueError("--grasp", grasp, f"one of {', '.join(names)}")
     index = 0 if grasp is None else names.index(grasp)
     if kind == "slide":
         action: Action = Slide(index, math.radians(direction_deg))

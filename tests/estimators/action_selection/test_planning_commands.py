@@ -21,7 +21,7 @@ from scenarios.policies import AfterWeighing
 from scenarios.results.estimates import load_results
 from scenarios.results.files import write_json
 from scenarios.runners import FeasibilityCheck
-from scenarios.study.run import manifest
+from scenarios.study.run import ACTIVE_FIELDS, manifest
 from testbed import Accelerate, InvalidValueError, Push, Rotate, SimulationSettings, Slide, load_object, preset
 from tests.helpers.chunks import logged, read_chunks
 from tests.helpers.commands import refusal
@@ -164,7 +164,9 @@ def test_after_one_trial_masses_have_wide_errors_and_what_is_open_is_named(tmp_p
 @pytest.mark.parametrize(("obj", "secret", "other"), [("L2", "of a run", "secret"), ("F2", "touch/0", "objects")])
 def test_touch_writes_over_no_other_results(tmp_path, capsys, obj, secret, other):
     (tmp_path / "results.parquet").touch()
-    write_json(tmp_path / "manifest.json", manifest(Scenario(objects=[obj], sensing=["ft300s"], seeds=1), secret))
+    held = Scenario(objects=[obj], sensing=["ft300s"], seeds=1)
+    facts = manifest(held, secret) | {"scenario": held.model_dump(include=ACTIVE_FIELDS)}
+    write_json(tmp_path / "manifest.json", facts)
     said = refusal(capsys, "touch", "L2", "--out", str(tmp_path))
     assert said.startswith("heft: --out: ") and f"results of another run ({other})" in said
 

@@ -161,6 +161,7 @@ def test_what_they_are_given_in_a_lab_does_not_lead_to_its_draw(tmp_path: Path):
             assert all(t.setup == world("lab").stated for t in parts.get("trajectories", []))
 
 
+@pytest.mark.slow
 def test_a_policy_receives_the_reading_of_the_scale(spied):
     _, given = spied
     given_policy = next(parts for kind, parts in given if kind == "policy")

@@ -262,7 +262,7 @@ def test_of_two_trials_that_contradict_each_other_none_is_named():
 
 
 @pytest.mark.parametrize("method", ["hidden_states", "least_squares", "bayes"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_masses_that_are_hardly_known_are_underdetermined_as_in_a_sweep(method, seed):
     obj = drawn_object(seed)
     trials = lab_trials(obj, 3)
@@ -271,9 +271,15 @@ def test_masses_that_are_hardly_known_are_underdetermined_as_in_a_sweep(method, 
     assert judged(answer, obj.shape, obj.total_mass, trials).status == answer.status
 
 
-@pytest.mark.parametrize("wrong", [mirrored, regripped])
-@pytest.mark.parametrize("number", [4, 5, 6, 7])
-def test_an_estimate_names_a_wrong_trial_though_others_have_larger_residuals(wrong, number):
+@pytest.mark.parametrize(
+    ("number", "wrong"),
+    [
+        (number, wrong) if number == 4 else pytest.param(number, wrong, marks=pytest.mark.slow)
+        for number in (4, 5, 6, 7)
+        for wrong in (mirrored, regripped)
+    ],
+)
+def test_an_estimate_names_a_wrong_trial_though_others_have_larger_residuals(number, wrong):
     trials = list(TRIALS)
     trials[number - 1] = wrong(trials[number - 1])
     message = Bayes().estimate(SHAPE, WEIGHT, trials, 0).message
@@ -324,8 +330,25 @@ def test_sizes_are_in_words():
     assert Cause("grasp_offset", 3.0, 0.0021, absurd=False).formatted == "2.1 mm"
 
 
-@pytest.mark.parametrize("method", ["hidden_states", "bayes", "least_squares"])
-@pytest.mark.parametrize(("name", "part"), [("I2-own_weight", 0.95), ("L2-own_weight", 0.95), ("I2-own_weight", 0.3)])
+@pytest.mark.parametrize(
+    ("name", "part", "method"),
+    [
+        ("I2-own_weight", 0.95, "bayes"),
+        ("I2-own_weight", 0.3, "hidden_states"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("I2-own_weight", 0.95, "hidden_states"),
+                ("I2-own_weight", 0.95, "least_squares"),
+                ("I2-own_weight", 0.3, "bayes"),
+                ("I2-own_weight", 0.3, "least_squares"),
+                ("L2-own_weight", 0.95, "hidden_states"),
+                ("L2-own_weight", 0.95, "bayes"),
+                ("L2-own_weight", 0.95, "least_squares"),
+            )
+        ),
+    ],
+)
 def test_a_weight_that_is_wrong_by_a_twentieth_or_by_far_shows_in_accelerated_turns(
     name: str, part: float, method: str
 ):

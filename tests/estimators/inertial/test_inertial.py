@@ -324,6 +324,7 @@ def test_wrong_arguments_and_lifts_are_refused(lift, call: Callable[[Trajectory]
         call(lift)
 
 
+@pytest.mark.slow
 def test_a_payload_is_of_the_grasp_named(tmp_path, capsys):
     (tmp_path / "trials").mkdir()
     assert "a folder with lifts" in refusal(capsys, "payload", str(tmp_path))

@@ -47,7 +47,8 @@ class SteadyTurn:
     """Planar wrench about the grasp point, world axes, shape (N, 3)."""
     grasp: Tensor
     """Grasp point [m], object frame, shape (2,)."""
-    dt: float
+    time: Tensor
+    """Time since the first state [s], shape (N,): a real record may have lost samples."""
 
     @staticmethod
     def of(window: Observations, trajectory: Trajectory, kept: np.ndarray, inertia: Inertia) -> SteadyTurn:
@@ -61,14 +62,15 @@ class SteadyTurn:
             torch.cat([turned_to(along), spin.expand(len(yaw), 1)], -1),
             torch.cat([turned_to(window.wrench[:, :2]), window.wrench[:, 2:].expand(len(yaw), 1)], -1),
             window.grasp[0],
-            float(np.median(np.diff(trajectory.time_s[kept]))),
+            torch.tensor(trajectory.time_s[kept] - trajectory.time_s[kept[0]]),
         )
 
     def stepwise(self, model: ParticleModel, inertia: Inertia, friction: Float[Tensor, "P"]) -> float:
         """Mean particle distance [m] at the end where each step starts from the measured state and steps add up."""
-        drag, state = friction.expand(len(self.pose), -1), (self.pose, self.velocity)
-        after = one_step(model, inertia, drag, *state, self.wrench, self.grasp, self.dt)
-        end = self.pose[0] + self.dt * torch.cat([self.velocity[:1], after[:-2]]).sum(0)
+        step = self.time.diff()[:, None]
+        drag, state = friction.expand(len(step), -1), (self.pose[:-1], self.velocity[:-1])
+        after = one_step(model, inertia, drag, *state, self.wrench[:-1], self.grasp, step)
+        end = self.pose[0] + (step * torch.cat([self.velocity[:1], after[:-1]])).sum(0)
         return _mean_distance(model, inertia, end, self.pose[-1])
 
 
@@ -81,12 +83,13 @@ def open_loop(
     """
     if not turns:
         return [], []
-    last = [len(turn.pose) - 1 for turn in turns]
-    soon = [min(round(OPEN_LOOP / turn.dt), n) for turn, n in zip(turns, last, strict=True)]
+    times = [turn.time.numpy() for turn in turns]
+    last = [len(time) - 1 for time in times]
+    soon = [int(np.abs(time - OPEN_LOOP).argmin()) for time in times]
     at = [np.unique(np.r_[0:near:FINE, near:end:COARSE, end]) for near, end in zip(soon, last, strict=True)]
     count = max(map(len, at)) - 1
     at = [np.pad(samples, (0, count + 1 - len(samples)), mode="edge") for samples in at]  # steps of no length
-    dt = np.array([turn.dt * np.diff(samples) for turn, samples in zip(turns, at, strict=True)])
+    dt = np.array([np.diff(time[samples]) for time, samples in zip(times, at, strict=True)])
     feet, hand = _Feet.of(model, inertia), np.array([(turn.grasp - inertia.com).numpy() for turn in turns])
     mass = np.array([inertia.mass, inertia.mass, inertia.about_com])
     pose, velocity = (np.array([getattr(t, name)[0].numpy() for t in turns]) for name in ("pose", "velocity"))

@@ -261,7 +261,7 @@ def one_step(
     velocity: Float[Tensor, "... T 3"],
     wrench: Float[Tensor, "... T 3"],
     grasp: Float[Tensor, "... 2"],
-    dt: float,
+    dt: float | Float[Tensor, "T 1"],
 ) -> Float[Tensor, "... T 3"]:
     """Velocity one step on, Phi of the problem formulation, from each measured state on its own."""
     a = acceleration(model, inertia, friction, pose, velocity, wrench, grasp[..., None, :])

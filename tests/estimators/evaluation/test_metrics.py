@@ -120,6 +120,20 @@ def test_the_truth_goes_where_the_object_went(name, world):
     assert max(found.open_loop, found.turn) < FLOOR
 
 
+@pytest.mark.parametrize("lost", [0.02, 0.1])
+def test_lost_samples_cost_nothing(lost):
+    obj = load_object("L2")
+    found = distance(obj, [thinned(turn, lost) for turn in turns(obj)])
+    assert max(found.open_loop, found.turn) < 2 * FLOOR
+
+
+def thinned(trial: Trajectory, lost: float) -> Trajectory:
+    """A record without a part of its samples, at random."""
+    kept = np.random.default_rng(1).random(len(trial.time_s)) > lost
+    series = {n: v[kept] for n, v in vars(trial).items() if isinstance(v, np.ndarray) and len(v) == len(kept)}
+    return replace(trial, **series)
+
+
 @pytest.mark.parametrize(
     ("name", "support", "world", "right"),
     [
@@ -220,7 +234,7 @@ def test_open_loop_agrees_with_a_rollout_of_fine_steps_where_nothing_sticks(name
     part = torch.arange(fine)[:, None] / fine
     push = (turn.wrench[:steps, None] * (1 - part) + turn.wrench[1 : steps + 1, None] * part).flatten(0, 1)
     start, drag = (turn.pose[0], turn.velocity[0]), pressed[:1].expand(len(push), -1)
-    poses, _ = explicit_rollout(model, inertia, drag, *start, push, turn.grasp, turn.dt / fine)
+    poses, _ = explicit_rollout(model, inertia, drag, *start, push, turn.grasp, float(turn.time[1]) / fine)
     arm = model.particles - inertia.com
     ends = [pose[:2] + rotate(pose[2], arm) for pose in (poses[-1], turn.pose[steps])]
     apart = float((ends[0] - ends[1]).norm(dim=-1).mean())

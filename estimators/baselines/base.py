@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.base import Estimate, Trace, robot_seconds
+from estimators.base import MOST_MASS, Estimate, Trace, robot_seconds
 from estimators.baselines.problem import FAR_OFF, Problem, Weighting
 from estimators.descent import OPTIMIZERS, check_optimizers, descend_all
 from estimators.evaluation.judged import misfit_on
@@ -217,7 +217,11 @@ class Baseline(ABC):
     def _judged(
         self, problem: Problem, found: SearchResult, weight: float | None, trajectories: Sequence[Trajectory]
     ) -> Estimate:
-        """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it."""
+        """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it.
+
+        A descent without M may diverge: masses beyond `MOST_MASS` are set to it.
+        """
+        found = replace(found, mass=np.where(found.mass <= MOST_MASS, found.mass, MOST_MASS))
         at, count = MassDistribution(found.mass, found.friction), problem.shape.particles_per_group
         misfit = found.misfit or misfit_on(self._support, problem.shape, weight, trajectories, at, self._errors)
         assert misfit is not None
@@ -229,7 +233,7 @@ class Baseline(ABC):
         status, why = misfit.status, misfit.reason
         if not problem.scale_known:
             status, why = "underdetermined", "without M or an accelerated turn only mass times friction is observable"
-        elif left > FAR_OFF:
+        elif left > FAR_OFF and not misfit.explains:
             status, why = "not_converged", f"the best candidate leaves {100 * left:.0f} % of the largest wrench: "
             why += "the search is too short, or the trajectories contradict each other"
         elif problem.shape.n_mu > 1 and (open_ := (found.report or problem.report(at)).ambiguity):

@@ -9,11 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators import DiffLcp, Estimate, ExplicitState, LeastSquares
+from estimators.base import MOST_MASS
 from estimators.baselines.base import DENSEST, ITERATIONS, Baseline
 from estimators.baselines.sampling import RandomSearch, WeightedSampling, _grid
 from estimators.descent import OPTIMIZERS
-from estimators.testing.analytic_world import drawn_object, turns
-from testbed import ObjectModel, Trajectory, load_object
+from estimators.testing.analytic_world import analytic_trial, drawn_object, turns
+from testbed import ObjectModel, Slide, Trajectory, load_object
 from tests.helpers.answers import ask as answered
 from tests.helpers.answers import claimed, found, nad, trials_of
 from tests.helpers.blocks import blocks
@@ -215,6 +216,27 @@ def test_a_budget_of_one_is_an_answer(method):
     answer = ask(THREE, method(iterations=1))
     assert answer.status in ("unexplained", "not_converged") and answer.message
     assert len(found(answer).mass) == THREE.shape.n_m and len(answer.traces[0].loss) == 1
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_slides_without_a_torque_are_explained(noise):
+    one = blocks(["1"], [0.3], 0.4)
+    (middle,) = (k for k, grasp in enumerate(one.shape.grasps) if not grasp.position.any())
+    slides = [analytic_trial(one, Slide(middle, way), noise=noise, seed=k) for k, way in enumerate((0.0, 1.6, 3.1))]
+    answer = LeastSquares().estimate(one.shape, one.total_mass, slides, 0)
+    assert answer.status == "ok"
+    assert found(answer).friction == pytest.approx([0.4], rel=0.03)
+
+
+def test_a_search_that_diverges_is_an_answer_that_has_not_converged():
+    class Diverging(ExplicitState):
+        def _search(self, problem, seed):
+            result = super()._search(problem, seed)
+            return replace(result, mass=np.array([1e9, np.nan]))
+
+    answer = Diverging(iterations=1).estimate(TWO.shape, TWO.total_mass, trials_of(TWO), 0)
+    assert answer.status == "not_converged"
+    assert_allclose(found(answer).mass, MOST_MASS)
 
 
 @pytest.mark.parametrize("method", [RandomSearch, ExplicitState])

@@ -67,7 +67,7 @@ class InertialEquations:
     misfit: float
     """Squared residual over its variance, mean over degrees of freedom, at the best parameters."""
     freedom: int
-    """Degrees of freedom of the misfit."""
+    """Degrees of freedom of the misfit; negative where rows are fewer than parameters."""
 
     @property
     def scale(self) -> Float[np.ndarray, "10"]:
@@ -80,6 +80,10 @@ class InertialEquations:
         """Rank of the equations, at most ten."""
         strength = np.linalg.svd(self.rows / self.scale, compute_uv=False)
         return int((strength > 1e-6 * strength[0]).sum())
+
+    def shown(self, values: Float[np.ndarray, "10"]) -> Float[np.ndarray, "rank"]:
+        """Components of values in the directions that some parameters explain; the others hold noise alone."""
+        return np.linalg.svd(self.rows / self.scale)[0][:, : self.rank].T @ values
 
 
 def regressor(
@@ -185,7 +189,7 @@ def _as_ten_rows(whole: Float[np.ndarray, "R n"], nuisance: int) -> InertialEqua
     left = np.zeros((SIZE + 1, SIZE + 1))
     part = triangle[nuisance : nuisance + SIZE + 1, nuisance:]
     left[: len(part)] = part
-    freedom = max(len(whole) - nuisance - SIZE, 0)
+    freedom = len(whole) - nuisance - SIZE
     return InertialEquations(
         left[:SIZE, :SIZE], left[:SIZE, SIZE], float(left[SIZE, SIZE] ** 2) / max(freedom, 1), freedom
     )

@@ -29,6 +29,7 @@ from estimators.inertial import (
     true_body,
 )
 from estimators.inertial.body import InertialParameters, shift_map
+from estimators.inertial.equations import compressed_rows
 from estimators.inertial.estimate import InertialEstimate
 from estimators.inertial.payload import Payload, as_franka, as_json, as_kortex, as_ur
 from scenarios.cli.main import main
@@ -137,6 +138,28 @@ def test_motions_of_one_body_add_up():
     alone = [e.rows.T @ e.rows for e in (inertial_equations(one, FT300S), inertial_equations(other, FT300S))]
     assert_allclose(both.rows.T @ both.rows, sum(alone), rtol=1e-8, atol=1e-6)
     assert_allclose(least_squares_inertia(both).parameters.vector, whole.vector, atol=1e-8)
+
+
+@pytest.mark.parametrize("rows", [6, 10, 25])
+def test_equations_joined_are_those_of_all_rows_at_once(rows):
+    rng = np.random.default_rng(rows)
+    whole, true = rng.standard_normal((3, rows, 10)), rng.standard_normal(10)
+    values = whole @ true + rng.standard_normal((3, rows))
+    both = joined([compressed_rows(*each, np.eye(rows)) for each in zip(whole, values, strict=True)])
+    once = compressed_rows(whole.reshape(-1, 10), values.ravel(), np.eye(3 * rows))
+    assert both.freedom == once.freedom == 3 * rows - 10
+    assert both.misfit == pytest.approx(once.misfit)
+
+
+def test_directions_that_no_motion_shows_say_nothing_of_the_parts():
+    parts, _, whole = body()
+    still = inertial_equations(noisy(motion(whole, still=True), 0), FT300S, still_only=True)
+    unseen = np.linalg.svd(still.rows)[0][:, still.rank :]
+    assert unseen.shape[1] == 6
+    found = homogeneous_parts(still, parts)
+    other = homogeneous_parts(replace(still, values=still.values + 9 * unseen.sum(axis=1)), parts)
+    assert other.misfit == pytest.approx(found.misfit) == pytest.approx(1.0, abs=0.7)
+    assert_allclose(np.std(other.part_draws, axis=0), np.std(found.part_draws, axis=0), rtol=1e-6)
 
 
 def numbers(of: InertialParameters) -> np.ndarray:

@@ -111,7 +111,7 @@ class ActionBox:
             whole = len(Accelerate(action.grasp).accelerations)
             found[4:] = math.copysign(1.0, action.start_speed), 1.0 if len(action.accelerations) == whole else -1.0
         elif isinstance(action, Slide):
-            found[4:] = action.direction / math.pi, _inverse(action.duration, SLIDE_DURATION)
+            found[4:] = math.remainder(action.direction, math.tau) / math.pi, _inverse(action.duration, SLIDE_DURATION)
         elif isinstance(action, Rotate):
             slow, fast = np.radians(self.family.speed_deg_s)
             part = (abs(action.speed) - slow) / (fast - slow) if fast > slow else 1.0

@@ -1,5 +1,6 @@
 """Planning: candidates as a box, information that adds, the best designs, plans that end for a reason, training."""
 
+import math
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -286,6 +287,13 @@ BOX_GRASPS = (0, 2, 3)
 
 def box(**family: object) -> ActionBox:
     return ActionBox(F2, BOX_GRASPS, ActionFamily(**family))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("direction", [-3.5, 3.5, 6.1, 40.0])
+def test_a_slide_beyond_half_a_turn_is_the_same_slide(direction):
+    again = box().action(box().point(Slide(0, direction)))
+    assert isinstance(again, Slide)
+    assert math.remainder(again.direction - direction, math.tau) == pytest.approx(0.0, abs=5.1e-5)
 
 
 def test_every_candidate_of_a_family_is_a_point_within_its_limits():

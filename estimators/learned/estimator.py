@@ -201,7 +201,7 @@ def _misfitting(question: Question, learned: Checkpoint) -> str:
     The stated errors of a lab are large, so other errors, such as a rigid support, pass the limit of other methods.
     """
     found: dict[str, float] = dict(zip(SUMMARY, question.summary.exp().tolist(), strict=True))
-    few = len(question.first.b) - len(question.center) < LEAST_FREEDOM
+    few = 3 * len(question.edges) - len(question.center) < LEAST_FREEDOM  # as `limits_of` counts
     for name, most in learned.limits.items():
         if found[name] > most and not (name == MISFIT and few):
             what, value = name.split(",")[0], found[name]

@@ -16,7 +16,9 @@ from scipy.optimize import linprog
 from scipy.special import ndtr, ndtri
 
 CHAINS, STEPS, SETTLING = 256, 240, 60
-"""Number of hit-and-run chains, steps of each, and steps before the first draw."""
+"""Number of hit-and-run chains, least steps of each, and least steps before the first draw."""
+FEW = 6
+"""Number of masses up to which the least steps suffice; of more, steps grow with its square. Ours."""
 SMALLEST, FAR = 1e-300, 1e300
 """Smallest divisor and largest distance along a direction."""
 
@@ -77,12 +79,13 @@ class MassPolytope:
         observed = np.linalg.pinv(self.rows)
         masses = np.tile(start, (CHAINS, 1))
         total, square, taken = np.zeros(len(start)), np.zeros((len(start), len(start))), 0
-        for step in range(STEPS):
+        longer = max(len(start) / FEW, 1.0) ** 2
+        for step in range(round(longer * STEPS)):
             bases = (unobserved, observed) if unobserved.shape[1] else (observed,)
             basis = bases[step % len(bases)]
             direction = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
             masses = np.maximum(masses + self._along(masses, direction, rng)[:, None] * direction, 0.0)
-            if step >= SETTLING:
+            if step >= longer * SETTLING:
                 off = masses - start  # so that chains without freedom have a variance of exactly 0
                 total += off.sum(axis=0)
                 square += off.T @ off

@@ -261,16 +261,32 @@ def test_twenty_blocks_are_ranked_and_more_are_refused():
         rank_assignments(np.ones((1, 21)), np.ones(1), np.tile(MATERIALS, (21, 1)))
 
 
-def test_a_polytope_of_one_number_is_a_simplex():
+@pytest.mark.parametrize(("count", "off_mean", "off_deviation"), [(4, 0.04, 0.05), (20, 0.1, 0.13)])
+def test_a_polytope_of_one_number_is_a_simplex(count, off_mean, off_deviation):
     """M alone: the mean is even, a group's variance that of a flat Dirichlet, and each may have all or nothing."""
-    polytope = MassPolytope(np.full((1, 4), 1e4), np.array([1e4]))
+    polytope = MassPolytope(np.full((1, count), 1e4), np.array([1e4]))
     mean, covariance = polytope.posterior(0)
     low, high = polytope.ranges(0.9)
-    assert_allclose(mean, 0.25, atol=0.01)
-    assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(3 / 80), rtol=0.05)
+    assert_allclose(mean, 1 / count, rtol=off_mean)
+    deviations = np.sqrt(np.diag(covariance) / ((count - 1) / (count**2 * (count + 1))))
+    assert_allclose(deviations, 1.0, rtol=off_deviation)
+    assert deviations.mean() == pytest.approx(1.0, abs=0.03)
     assert_allclose(low, 0, atol=1e-3)
     assert_allclose(high, 1, atol=1e-3)
     assert polytope.inside[1] < 1e-6
+
+
+def test_the_order_of_many_groups_does_not_matter():
+    rng = np.random.default_rng(16)
+    place = 0.06 * np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), -1).reshape(-1, 2) - 0.09
+    truth = rng.uniform(0.05, 0.5, 16)
+    squares = (place**2).sum(axis=1)
+    rows = np.vstack([np.full(16, 1e3), place.T / 1e-3, squares / (0.01 * truth @ squares)])
+    turned = rng.permutation(16)
+    (mean, covariance), (other, _) = (
+        MassPolytope(rows[:, order], rows @ truth).posterior(0) for order in (np.arange(16), turned)
+    )
+    assert_allclose((other - mean[turned]) / np.sqrt(np.diag(covariance))[turned], 0, atol=0.2)
 
 
 def test_a_polytope_of_full_rank_is_a_gaussian():

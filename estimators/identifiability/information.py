@@ -113,7 +113,10 @@ class TrialInformation:
         prior = np.diag((np.arange(self.rows.shape[-1]) >= self.known).astype(float))
         scale = weighing.row(len(prior))
         prior += np.outer(scale, scale)
-        spread = np.linalg.pinv(prior + self.information(), hermitian=True).diagonal()
+        whole = prior + self.information()
+        # masses in kg and errors in units of their priors differ by many orders: the pseudo-inverse cuts by size
+        unit = 1 / np.sqrt(np.where(whole.diagonal() > 0, whole.diagonal(), 1.0))
+        spread = unit**2 * np.linalg.pinv(whole * np.outer(unit, unit), hermitian=True).diagonal()
         return replace(found, hinge_error=tuple(HINGE_PRIOR * np.sqrt(spread[self.hinges])))
 
 

@@ -24,6 +24,7 @@ from estimators.identifiability.information import (
 )
 from estimators.identifiability.report import identifiability
 from estimators.identifiability.trailing import trailing_motions
+from estimators.particles.links import HINGE_PRIOR
 from estimators.posterior import table_errors
 from estimators.posterior.scale import Weighing
 from estimators.testing.analytic_world import drawn_object, own_weight_loads, turns
@@ -383,6 +384,10 @@ def test_predicted_information_of_links_is_that_of_records():
     assert before.rank == after.rank == before.unknowns
     assert_allclose(before.standard_error, after.standard_error, rtol=0.25)
     assert_allclose(before.hinge_error, after.hinge_error, rtol=0.25)
+
+
+def test_a_hinge_that_nothing_moves_keeps_its_prior_error():
+    assert_allclose(expected(CHAIN.shape, CHAIN.truth, [], IDEAL).hinge_error, HINGE_PRIOR)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
@@ -92,7 +92,7 @@ class Trial:
     sensing: str = "ideal"
     """Name of a sensing preset."""
     seed: int = 0
-    """Number of the draw of the sensor's errors, >= 0: a trial that is run twice has the same errors."""
+    """Number of the draw of the errors of sensor and trial, >= 0: a trial that is run twice has the same errors."""
     world: WorldDraw | None = None
     """Draw of a world for the object; None is the ideal world. Only a simulation needs it."""
 
@@ -108,16 +108,17 @@ class Trial:
         if not isinstance(self.world, WorldDraw | None):
             allowed = 'a draw, such as heft.WorldDraw.of(heft.world("lab"), obj, 0), or None'
             raise InvalidValueError("Trial.world", self.world, allowed)
-        if self.world is not None and self.world.world.none:
-            object.__setattr__(self, "world", None)
+        if self.world is not None:
+            drawn = None if self.world.world.none else replace(self.world, repeat=self.seed or self.world.repeat)
+            object.__setattr__(self, "world", drawn)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
             names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))
             allowed = names or "none: nothing is grippable"
             raise InvalidValueError(f"{type(self.action).__name__}.grasp", self.action.grasp, allowed)
 
     def seed_under(self, secret: str) -> int:
-        """Seed of the sensing draw under a runner's secret; it depends on the action."""
-        return seed_of(secret, self.seed, json.dumps(self.action.to_dict(), sort_keys=True))
+        """Seed of the sensing draw under a runner's secret; it depends on the object and the action."""
+        return seed_of(secret, self.seed, self.object.name, json.dumps(self.action.to_dict(), sort_keys=True))
 
     @property
     def grasp(self) -> Grasp:

@@ -29,6 +29,8 @@ class WorldDraw:
     """Sizes of the errors."""
     seed: int
     """Seed, derived from a secret; it determines the draw."""
+    repeat: int = 0
+    """Number of the trial among those of one action: grasp, start and encoders err anew in each."""
 
     @classmethod
     def of(cls, world: World, model: ObjectModel, seed: int | str, secret: str | None = None) -> Self:
@@ -48,16 +50,21 @@ class WorldDraw:
         if "world" not in provenance:
             return None
         found = json.loads(provenance["world"])
-        return cls(World(**found["world"]), found["seed"])
+        return cls(World(**found["world"]), found["seed"], found.get("repeat", 0))
 
     @property
     def provenance(self) -> dict[str, str]:
         """Entry of a clean record, which `draw_sensing` and `blinded` remove."""
-        return {"world": json.dumps(asdict(self))}
+        return {"world": json.dumps(self._content)}
+
+    @property
+    def _content(self) -> dict[str, Any]:
+        """Fields as plain data; the repeat of an action only from the second trial on."""
+        return {name: value for name, value in asdict(self).items() if name != "repeat" or value}
 
     def request(self, model: ObjectModel) -> dict[str, Any]:
         """Settings that decide the errors of an object's trials, as plain data, without those that it cannot have."""
-        shape, content = model.shape, asdict(self)
+        shape, content = model.shape, self._content
         sized = {name: described.sized(shape.n_m, len(shape.feet)) for name, described in PARAMETERS.items()}
         content["world"] = {
             name: size
@@ -69,6 +76,7 @@ class WorldDraw:
     def rng(self, quantity: str, action: Action | None = None) -> np.random.Generator:
         """Random stream of a quantity, of the setup or of the trial of an action."""
         trial = "" if action is None else json.dumps(action.to_dict(), sort_keys=True)
+        trial += f" {self.repeat}" if trial and self.repeat else ""
         return np.random.default_rng(seed_of("", self.seed, quantity, trial))
 
     def normal(self, quantity: str, count: int, action: Action | None = None) -> Float[np.ndarray, "count"]:

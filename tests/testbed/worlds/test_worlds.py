@@ -100,6 +100,17 @@ def test_a_seed_gives_one_draw_and_quantities_do_not_disturb_each_other():
     assert not np.array_equal(lab.start(TURN), lab.start(Rotate(2, duration=3.0)))
 
 
+def test_trials_of_one_action_err_anew_in_the_same_setup():
+    drawn = WorldDraw.of(world("lab"), L2, 3)
+    first, second = (Trial(L2, TURN, world=drawn, seed=seed).world for seed in (0, 1))
+    assert first == drawn and second is not None
+    assert not np.array_equal(second.start(TURN), drawn.start(TURN))
+    assert second.grasp(L2.shape.grasps[0], TURN).angle != drawn.grasp(L2.shape.grasps[0], TURN).angle
+    assert_allclose(second.normal("gain", 6), drawn.normal("gain", 6))
+    assert WorldDraw.in_record(second.provenance) == second
+    assert second.request(L2) == drawn.request(L2) | {"repeat": 1}
+
+
 @pytest.mark.parametrize("points", [4, 6])
 def test_a_group_stands_on_a_few_points_about_its_middle(points: int):
     shape, counts = L2.shape, set()

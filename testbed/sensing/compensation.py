@@ -11,11 +11,13 @@ from scipy.signal import savgol_filter
 from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
 from testbed.objects.model import GRAVITY
-from testbed.sensing.series import runs
+from testbed.sensing.series import interpolated, runs
 from testbed.trajectory import Phase, Tool, Trajectory
 
 SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Change of the acceleration that opposes gravity with a tilt about the table's x and y axes [m/s^2 per rad]."""
+UNEVEN = 0.01
+"""Part of a step by which samples may lie off even times: beyond, they are interpolated."""
 
 
 def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
@@ -92,8 +94,12 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     window = min(11, len(twist) - 1 + len(twist) % 2)
     if window < 3:
         return np.zeros_like(twist)
-    step = float(np.median(np.diff(trajectory.time_s)))
-    return np.asarray(savgol_filter(twist, window, 2, deriv=1, delta=step, axis=0))
+    time = trajectory.time_s
+    even = np.linspace(time[0], time[-1], len(time))
+    step = float(even[1] - even[0])
+    uneven = np.abs(time - even).max() > UNEVEN * step
+    rates = savgol_filter(interpolated(even, time, twist) if uneven else twist, window, 2, deriv=1, delta=step, axis=0)
+    return interpolated(time, even, rates) if uneven else np.asarray(rates)
 
 
 def tare_time(trajectory: Trajectory) -> float:

@@ -56,7 +56,7 @@ def link_windows(trajectory: Trajectory) -> list[SteadyWindow]:
 def parts_of(count: int, step: float) -> Iterator[Int[np.ndarray, "N"]]:
     """Indices of the samples of each window of a stretch of `count` samples, `step` s apart."""
     for whole in np.array_split(np.arange(count), max(int(count * step / WINDOW + 1e-6), 1)):
-        yield whole[: len(whole) // PARTS * PARTS]  # whole samples in every part
+        yield whole[: len(whole) // PARTS * PARTS or None]  # whole samples in every part, where there are as many
 
 
 def turned_errors(

@@ -9,12 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from estimators.testing.analytic_world import record as world_record
 from testbed import GRAVITY, Accelerate, InvalidValueError, Slide, Trajectory, Weigh, draw_sensing
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.sensing.camera import Camera, PoseStream
 from testbed.sensing.compensation import compensate
 from testbed.sensing.drift import DriftLimit
+from testbed.sensing.link_windows import link_windows
 from testbed.sensing.presets import PRESETS, Sensing, preset
+from testbed.sensing.series import interpolated
 from testbed.sensing.windows import (
     PARTS,
     effective_samples,
@@ -24,6 +27,7 @@ from testbed.sensing.windows import (
     steady_windows,
     weight_of,
 )
+from testbed.trajectory import SERIES
 from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
@@ -345,3 +349,27 @@ def test_parts_of_a_window_are_as_long_as_each_other(count):
     assert_allclose(parts[:, 1], 1.0)
     # a sample on a border is in the middle of its own step, whichever part has how much of it
     assert_allclose(np.diff(parts[:, 0]), count / PARTS, atol=0.5 * PARTS / count)
+
+
+@pytest.mark.parametrize("steps", [[1, 1, 1, 2], [0.5, 1.5], [0.4, 0.4, 2.2]], ids=str)
+def test_uneven_samples_leave_nothing_of_the_tools_inertia(steps):
+    """As of lost frames, or of frames that come in bursts."""
+    even = moving_hand()
+    kept = np.cumsum(np.resize(steps, len(even.time_s))) / RATE
+    kept = kept[kept < even.time_s[-1]]
+    time = np.concatenate([[0.0], kept])
+    series = {name: interpolated(time, even.time_s, getattr(even, name)) for name in SERIES}
+    near = np.abs(time[:, None] - even.time_s).argmin(axis=1)
+    uneven = replace(even, time_s=time, phase=even.phase[near], segment=even.segment[near], **series)
+    left = [compensate(each).wrench_on_object_world[:, :3] for each in (even, uneven)]
+    assert_allclose(left[1][10:-10], interpolated(time, even.time_s, left[0])[10:-10], atol=0.05)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.03, 0.05, 0.1])
+def test_links_are_reduced_at_any_rate(step):
+    count = round(12 / step)
+    trial = world_record(count, tare=round(1 / step))
+    time = step * np.arange(count)
+    windows = link_windows(replace(trial, time_s=time, camera=PoseStream(time, np.zeros((count, 2, 3)))))
+    assert len(windows) >= 20
+    assert all(window.turned.shape == (PARTS, 2, 3) for window in windows)

@@ -88,7 +88,8 @@ class Trajectory:
     segment: Int[np.ndarray, "T"]
     """Index of each sample's steady stretch, from 0; -1 outside."""
     object_pose: Float[np.ndarray, "T 3"]
-    """Planar pose of the object frame [m, m, rad], world, from the hand's pose; in a push, from the camera."""
+    """Planar pose of the object frame [m, m, rad], world, from the hand's pose; in a push, from the camera. Yaws are
+    unwrapped on construction."""
     object_velocity: Float[np.ndarray, "T 3"]
     """Planar velocity of the object frame's origin and yaw rate [m/s, m/s, rad/s], world axes, as `object_pose`."""
     tcp_position: Float[np.ndarray, "T 3"]
@@ -156,7 +157,10 @@ class Trajectory:
             )
         object.__setattr__(self, "time_s", time)
         freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in SERIES.items()})
-        freeze_arrays(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
+        pose = np.array(self.object_pose)
+        pose[:, 2] = np.unwrap(pose[:, 2])
+        object.__setattr__(self, "object_pose", pose)
+        freeze_arrays(self, object_pose=pose.shape, sensor_bias_std=(6,), sensor_drift_std=(6,))
         largest = int(np.iinfo(np.int64).max)
         for name, lowest, highest in (("phase", 0, int(max(Phase))), ("segment", -1, largest)):
             values = np.array(getattr(self, name))

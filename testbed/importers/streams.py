@@ -132,7 +132,7 @@ class Streams:
         poses = np.full((len(time), len(self.camera_poses), 3), np.nan)
         for part, (place, turned) in enumerate(self.camera_poses):
             along = turned.apply([1.0, 0.0, 0.0])
-            yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+            yaw = np.arctan2(along[:, 1], along[:, 0])
             poses[np.searchsorted(time, place.time_s), part] = np.column_stack([place.values[:, :2], yaw])
         time = time - table.camera.delay_s - base[0]
         kept = (time >= -_AROUND) & (time <= base[-1] - base[0] + _AROUND)

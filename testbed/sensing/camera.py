@@ -81,7 +81,8 @@ class PoseStream:
     time_s: Float[np.ndarray, "F"]
     """Time of each frame [s], on the record's clock: its stamp less the mean delay."""
     poses: Float[np.ndarray, "F parts 3"]
-    """Planar pose of each part's frame [m, m, rad], world; NaN where it was not measured. Yaws are unwrapped."""
+    """Planar pose of each part's frame [m, m, rad], world; NaN where it was not measured. Yaws are unwrapped on
+    construction."""
     position_std: float = 0.0
     """Standard deviation of a position as stated, per frame and axis [m]."""
     angle_std: float = 0.0
@@ -96,7 +97,7 @@ class PoseStream:
             raise InvalidValueError("PoseStream.time_s", f"{len(self.time_s)} times", "strictly increasing times, s")
         if np.isinf(poses).any() or (np.isnan(poses).any(axis=2) != np.isnan(poses).all(axis=2)).any():
             raise InvalidValueError("PoseStream.poses", "infinite or half-seen poses", "whole poses, or NaN for one")
-        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "poses", _unwrapped(poses))
         for name in ("position_std", "angle_std", "delay_std"):
             if not (is_number(value := getattr(self, name)) and value >= 0):
                 raise InvalidValueError(f"PoseStream.{name}", value, "a finite number >= 0")
@@ -109,7 +110,11 @@ class PoseStream:
     @property
     def joint_angles(self) -> Float[np.ndarray, "F joints"]:
         """Yaw of each part less that of the one before [rad], 0 in the stated shape; NaN where not measured."""
-        return np.diff(self.poses[..., 2], axis=1)
+        angle = np.diff(self.poses[..., 2], axis=1)
+        for joint in range(self.parts - 1):  # each yaw may have whole turns of its own
+            if (measured := ~np.isnan(angle[:, joint])).any():
+                angle[:, joint] -= math.tau * round(angle[measured, joint][0] / math.tau)
+        return angle
 
     def at(self, times: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N parts 3"]:
         """Poses at given times [s], for drawing: linear between the frames of each part; NaN without frames."""
@@ -176,6 +181,16 @@ class CameraMotion:
     """Covariance of pose, twist and acceleration, in this order, from the frames' noise and the delay's error."""
     late: Float[np.ndarray, "N 9"]
     """Effect of one standard deviation of the delay, which all rows share; included in `covariance`."""
+
+
+def _unwrapped(poses: Float[np.ndarray, "F parts 3"]) -> Float[np.ndarray, "F parts 3"]:
+    """Poses whose yaws do not jump by whole turns between the frames in which a part was measured; read-only."""
+    poses = poses.copy()
+    for yaw in poses[..., 2].T:
+        measured = ~np.isnan(yaw)
+        yaw[measured] = np.unwrap(yaw[measured])
+    poses.flags.writeable = False
+    return poses
 
 
 def _nearest(time: np.ndarray, at: float, span: float, lost: float) -> np.ndarray:

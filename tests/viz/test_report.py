@@ -295,6 +295,8 @@ def test_methods_that_know_no_hinges_have_no_row_of_them():
     rows = [row("hidden_states", seed, 0.01, hinge_error=0.02) for seed in range(3)]
     rows += [row("least_squares", seed, 0.03, hinge_error=float("nan")) for seed in range(3)]
     assert metrics_of(rows) == [NAD_METRIC, HINGES, *SHORTER_MPDS]
+    exact = metric_table([row("hidden_states", 0, 0.01, hinge_error=0.0)], HINGES, "")
+    assert [labels for labels, _ in exact.rows] == [("hidden_states",)]
     unpredicted = {metric.column: None for metric in SHORTER_MPDS}
     assert metrics_of([each | unpredicted for each in rows]) == [NAD_METRIC, HINGES]
     for table in (metric_table(rows, HINGES, ""), over_objects(rows, HINGES, "")):

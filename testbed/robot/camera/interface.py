@@ -71,9 +71,6 @@ def seen_stream(frames: Sequence[SeenFrame], camera: Camera, begin: float, parts
     time = np.array([frame.time_s for frame in frames]) - begin - sum(camera.delay) / 2
     kept = np.flatnonzero(time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]])))
     poses = np.array([frames[i].poses for i in kept.tolist()]).reshape(-1, parts, 3)
-    for part in range(parts):
-        seen = ~np.isnan(poses[:, part, 2])
-        poses[seen, part, 2] = np.unwrap(poses[seen, part, 2])
     return PoseStream(time[kept], poses, camera.position, camera.angle, camera.delay_std)
 
 

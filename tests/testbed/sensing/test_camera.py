@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from estimators.testing.analytic_world import analytic_trial, record
 from testbed import Rotate, draw_sensing, load_object, load_trajectory, preset, save_trajectory
@@ -115,3 +116,16 @@ def test_parts_that_are_seen_in_turn_are_drawn_each_by_its_own_frames():
     poses[::2, 0] = poses[1::2, 1] = np.nan
     found = PoseStream(time, poses).at(np.array([0.25, 0.7]))
     assert np.allclose(found, np.array([0.25, 0.7])[:, None, None])
+
+
+@pytest.mark.parametrize("start", [-7.0, 3.1, 20.0])
+def test_whole_turns_of_a_yaw_change_nothing(start):
+    yaw = start + 0.7 * TIME
+    poses = np.zeros((600, 2, 3))
+    poses[:, 0, 2], poses[:, 1, 2] = yaw, np.remainder(yaw + 0.2, 2 * np.pi)
+    poses[100:103, 1] = np.nan
+    found = PoseStream(TIME, poses)
+    assert_allclose(found.motion(TIME[50:250], 1).twist[:, 2], 0.7, atol=1e-6)
+    measured = ~np.isnan(found.joint_angles[:, 0])
+    assert measured.sum() == 597
+    assert_allclose(found.joint_angles[measured, 0], 0.2, atol=1e-9)

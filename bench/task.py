@@ -153,7 +153,7 @@ def printed(title: str, label: str, groups: dict[str, pd.DataFrame]) -> None:
 def main() -> None:
     """Run the scenario, then both tasks, and print the tables."""
     folder, objects = Path(*sys.argv[1:2] or ["results/task"]), int(sys.argv[2]) if sys.argv[2:] else None
-    heft(["run", str(Path(__file__).with_suffix(".toml")), "--out", str(folder)])
+    heft(["run", str(Path(__file__).with_suffix(".toml")), "--secret", "docs", "--out", str(folder)])
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         found = pd.DataFrame(pool.map(row, *zip(*tasks(folder, objects), strict=True)))
     methods = dict.fromkeys(["the true masses", *found["method"]])

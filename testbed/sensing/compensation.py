@@ -98,8 +98,9 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     even = np.linspace(time[0], time[-1], len(time))
     step = float(even[1] - even[0])
     uneven = np.abs(time - even).max() > UNEVEN * step
-    rates = savgol_filter(interpolated(even, time, twist) if uneven else twist, window, 2, deriv=1, delta=step, axis=0)
-    return interpolated(time, even, rates) if uneven else np.asarray(rates)
+    samples = interpolated(even, time, twist) if uneven else twist
+    rates = np.asarray(savgol_filter(samples, window, 2, deriv=1, delta=step, axis=0))
+    return interpolated(time, even, rates) if uneven else rates
 
 
 def tare_time(trajectory: Trajectory) -> float:

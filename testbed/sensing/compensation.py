@@ -16,6 +16,8 @@ from testbed.trajectory import Phase, Tool, Trajectory
 
 SIDEWAYS = GRAVITY * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Change of the acceleration that opposes gravity with a tilt about the table's x and y axes [m/s^2 per rad]."""
+SMOOTHING = 0.1
+"""Time over which the hand's velocity is differentiated [s]."""
 UNEVEN = 0.01
 """Part of a step by which samples may lie off even times: beyond, they are interpolated."""
 
@@ -91,10 +93,11 @@ def tool_pulls(
 def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     """Linear and angular acceleration of the tool at the TCP [m/s^2, rad/s^2], world axes, shape (T, 6)."""
     twist = trajectory.tcp_velocity
-    window = min(11, len(twist) - 1 + len(twist) % 2)
-    if window < 3:
-        return np.zeros_like(twist)
     time = trajectory.time_s
+    if len(time) < 3:
+        return np.zeros_like(twist)
+    around = max(round(SMOOTHING / 2 / float(np.median(np.diff(time)))), 1)
+    window = min(2 * around + 1, len(twist) - 1 + len(twist) % 2)
     even = np.linspace(time[0], time[-1], len(time))
     step = float(even[1] - even[0])
     uneven = np.abs(time - even).max() > UNEVEN * step

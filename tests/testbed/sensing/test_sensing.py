@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from estimators.testing.analytic_world import record as world_record
-from testbed import GRAVITY, Accelerate, InvalidValueError, Slide, Trajectory, Weigh, draw_sensing
+from testbed import GRAVITY, Accelerate, InvalidValueError, Lift, Slide, Trajectory, Weigh, draw_sensing
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.sensing.camera import Camera, PoseStream
-from testbed.sensing.compensation import compensate
+from testbed.sensing.compensation import compensate, twist_rates
 from testbed.sensing.drift import DriftLimit
 from testbed.sensing.link_windows import link_windows
 from testbed.sensing.presets import PRESETS, Sensing, preset
@@ -24,10 +24,11 @@ from testbed.sensing.windows import (
     mean_covariance,
     part_means,
     sensor_map,
+    steady_samples,
     steady_windows,
     weight_of,
 )
-from testbed.trajectory import SERIES
+from testbed.trajectory import SERIES, Phase
 from tests.helpers.records import DOWN, NOISY, RATE, TOOL, coloured_noise, moving_hand, record, turn_record
 
 BIAS = np.array([3.0, -2.0, 5.0, 0.3, -0.2, 0.1])
@@ -363,6 +364,20 @@ def test_uneven_samples_leave_nothing_of_the_tools_inertia(steps):
     uneven = replace(even, time_s=time, phase=even.phase[near], segment=even.segment[near], **series)
     left = [compensate(each).wrench_on_object_world[:, :3] for each in (even, uneven)]
     assert_allclose(left[1][10:-10], interpolated(time, even.time_s, left[0])[10:-10], atol=0.05)
+
+
+@pytest.mark.parametrize(("rate", "acceleration"), [(100, 1.0), (20, 1.0), (10, 0.25)])
+def test_accelerations_are_right_at_any_rate(rate, acceleration):
+    lift = Lift(0, acceleration=acceleration, swings=6, hold=2.5)
+    profile = lift.sampled(1 / rate)
+    velocity = np.zeros((len(profile.height), 6))
+    velocity[:, 3:] = profile.rate
+    phase = np.where(profile.segment >= 0, Phase.STEADY, Phase.RAMP)
+    series = {"time_s": np.arange(len(velocity)) / rate, "phase": phase, "segment": profile.segment}
+    trial = world_record(len(velocity), tare=0, action=lift, tcp_velocity=velocity, **series)
+    rates = twist_rates(trial)[:, 3:]
+    for kept in steady_samples(trial):
+        assert_allclose(rates[kept].mean(axis=0), profile.acceleration[kept].mean(axis=0), atol=0.01)
 
 
 @pytest.mark.parametrize("step", [0.01, 0.03, 0.05, 0.1])

@@ -31,8 +31,8 @@ _TOUCH = 0.0005
 """Standard deviation of the fingertip's position at the first contact by the force [m]."""
 _FACE = 0.0005
 """Error of the outline over a push [m]."""
-_MEDIAN_OF_SECOND = 0.6745 * math.sqrt(6)
-"""Median size of second differences of white noise, over its standard deviation."""
+_MEDIAN = 0.6745
+"""Median size of white noise over its standard deviation."""
 
 
 def with_camera_poses(record: Trajectory) -> Trajectory:
@@ -170,10 +170,13 @@ def _scatter(record: Trajectory, camera: PoseStream) -> str:
     moved = record.time_s[_moving(record)]
     inside = (camera.time_s >= moved[0]) & (camera.time_s <= moved[-1])
     for poses in camera.poses[inside].transpose(1, 0, 2):
-        measured = poses[~np.isnan(poses).any(axis=1)]
+        seen = ~np.isnan(poses).any(axis=1)
+        measured, time = poses[seen], camera.time_s[inside][seen]
         if len(measured) < LEAST_FRAMES:
             continue
-        usual = np.median(np.abs(np.diff(measured, n=2, axis=0)), axis=0) / _MEDIAN_OF_SECOND
+        share = (np.diff(time)[:-1] / (time[2:] - time[:-2]))[:, None]  # frames may be lost, or come unevenly
+        off = measured[1:-1] - (1 - share) * measured[:-2] - share * measured[2:]
+        usual = np.median(np.abs(off) / np.sqrt(1 + share**2 + (1 - share) ** 2), axis=0) / _MEDIAN
         most = _SURE * _noise(camera)
         if (usual > most).any():
             return (

@@ -8,9 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimators.testing.analytic_world import analytic_trial, record
-from testbed import Rotate, draw_sensing, load_object, load_trajectory, preset, save_trajectory
+from testbed import Rotate, Slide, draw_sensing, load_object, load_trajectory, preset, save_trajectory
 from testbed.sensing.camera import CAMERAS, Camera, PoseStream, draw_camera
 from testbed.sensing.camera_poses import frame_mismatch
+from testbed.sensing.series import interpolated
 
 TIME = np.arange(600) / 100
 
@@ -76,6 +77,20 @@ def test_a_turn_shows_another_scale_of_the_camera(scale, said):
     poses = first + (trial.object_pose - first) * [scale, scale, 1.0] + noise
     camera = PoseStream(trial.time_s, poses[:, None], errors[0], errors[2])
     assert re.search(said, frame_mismatch(replace(trial, camera=camera), shape))
+
+
+@pytest.mark.parametrize(("noise", "said"), [(1.0, ""), (5.0, "its frames scatter by")])
+@pytest.mark.parametrize("steps", [[0.022, 0.045], [0.033, 0.033, 0.1]], ids=["uneven", "lost"])
+def test_uneven_and_lost_frames_are_no_scatter(steps, noise, said):
+    shape, std = load_object("L2").shape, np.array([5e-4, 5e-4, 2e-3])
+    trial = analytic_trial(load_object("L2"), Slide(0, speed=0.15, duration=2.5))
+    at = trial.time_s[0] + np.cumsum(np.resize(steps, 400))
+    at = at[at < trial.time_s[-1]]
+    poses = interpolated(at, trial.time_s, trial.object_pose)
+    poses += noise * std * np.random.default_rng(0).standard_normal(poses.shape)
+    camera = PoseStream(at, poses[:, None], std[0], std[2], 0.0115)
+    assert frame_mismatch(replace(trial, camera=camera), shape).startswith(said)
+    assert bool(said) == bool(frame_mismatch(replace(trial, camera=camera), shape))
 
 
 def test_a_record_without_motion_or_frames_is_no_mismatch():

@@ -121,6 +121,6 @@ class SeenPose:
                 f"{LEAST_SEEN}; clear its view, and look whether it streams"
             )
         x, y = np.median(seen[:, :2], axis=0)
-        reference = seen[0, 2]  # yaw wraps at 2 pi
+        reference = math.atan2(np.sin(seen[:, 2]).sum(), np.cos(seen[:, 2]).sum())  # yaw wraps at 2 pi
         turn = np.median(np.remainder(seen[:, 2] - reference + math.pi, math.tau)) - math.pi
         return float(x), float(y), float(reference + turn)

@@ -134,13 +134,14 @@ def test_the_sender_of_the_page_is_understood():
     assert_allclose(frame.poses[0], [0.462, 0.034, 0.0], atol=1e-12)
 
 
-def test_the_place_of_an_object_is_the_median_of_a_look():
+@pytest.mark.parametrize("flipped", [2, 4])
+def test_the_place_of_an_object_is_the_median_of_a_look(flipped):
     class Camera(Entered):
         count = 0
 
         def drain(self) -> list[SeenFrame]:
             self.count += 1
-            pose = [5.0, 5.0, 1.0] if self.count == 4 else [0.4, 0.1, math.pi - 0.001 * (-1) ** self.count]
+            pose = [5.0, 5.0, 0.0] if self.count == flipped else [0.4, 0.1, math.pi - 0.001 * (-1) ** self.count]
             return [SeenFrame(0.1 * self.count, np.array([pose, [math.nan] * 3]))]
 
     class Skipping(MonotonicClock):

@@ -32,6 +32,8 @@ SHORTEST_S = 1.0
 """Shortest rest that is a pose [s]."""
 MEASURED = 5
 """Least number of samples of a stream within `SHORTEST_S`."""
+UNIT = 1e-3
+"""Error of a reading before a fit shows it, as a part of the scatter of all readings."""
 FEWEST = 6
 """Least number of rests; with fewer, slow motion is used."""
 
@@ -98,8 +100,12 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
 def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
     """Poses of rows with both wrench and hand; the residuals of a fit, per axis, give the error of a reading."""
     _, of_hand, of_wrench = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
-    pairs = zip(pose[1].as_quat(scalar_first=True)[of_hand], wrench.values[of_wrench], strict=True)
-    poses = [StaticPose(hand, reading, np.ones(6)) for hand, reading in pairs]
+    values = wrench.values[of_wrench]
+    # far below what the readings change by: the misfit of the fit, not a unit, then scales every decision
+    force, torque = UNIT * np.maximum(np.sqrt(values.reshape(-1, 2, 3).var(axis=0).sum(axis=1)), 1e-6)
+    unit = np.repeat([force, torque], 3)
+    pairs = zip(pose[1].as_quat(scalar_first=True)[of_hand], values, strict=True)
+    poses = [StaticPose(hand, reading, unit) for hand, reading in pairs]
     if len(poses) < FEWEST:
         raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")
     left, rows = residuals(calibrate(poses, gravity=gravity), poses), 6 * len(poses)

@@ -392,6 +392,17 @@ def test_a_row_is_a_pose(tmp_path):
         recorded_poses(*table_of(tmp_path, every, hands, orientation_as="matrix"))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_of_small_tilts_are_calibrated(tmp_path, seed):
+    """Readings of 0.05 N and 3 mN m, tilts of 30 deg."""
+    axes = np.radians(30) * np.array([[np.cos(a), np.sin(a), 0] for a in np.arange(7) * np.pi / 3.5])
+    hands = [DOWN, *(DOWN * Rotation.from_rotvec(axis) for axis in axes)]
+    every = readings(MOUNT, noise=4.0, seed=seed, hands=hands)
+    columns = pd.DataFrame([pose.hand for pose in every], columns=["qw", "qx", "qy", "qz"])
+    found = calibrate(recorded_poses(*table_of(tmp_path, every, columns))[0])
+    assert found.sign == 1 and found.mass == pytest.approx(MASS * GRAVITY / 9.79, abs=0.02)
+
+
 def test_rows_of_one_pose_are_all_kept(tmp_path):
     """Equal rows are no frozen source; those without a hand are left out."""
     every = readings(MOUNT, noise=1.0, hands=[hand for hand in POSES for _ in range(2)])

@@ -20,6 +20,7 @@ from testbed.robot.weighing import Weighing, check_known_mass, held_center, weig
 from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 from tests.fakes.analytic_links import analytic_links, drawn_chain
+from tests.helpers.blocks import blocks
 from tests.helpers.records import coloured_noise
 
 COVARIANCE = np.diag(np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 2e-4]) ** 2)
@@ -145,6 +146,16 @@ def test_right_statements_pass():
 
 
 SLIDE = analytic_trial(OBJECT, Slide(0, 0.3))
+
+
+def test_a_bias_turns_the_force_of_a_light_object_and_nothing_is_wrong():
+    light = blocks(["11"], [0.03, 0.03], 0.3)
+    slide = analytic_trial(light, Slide(0, 0.3))
+    bias = np.array([*(rotation_2d(0.3) @ [0.0, 0.05]), 0.0, 0.0, 0.0, 0.0])
+    biased = replace(slide, wrench_on_object_world=slide.wrench_on_object_world + bias)
+    assert "direction" in wrong(check_wrenches(light.shape, [biased]))
+    stated = replace(biased, sensor_bias_std=np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002]))
+    assert not wrong(check_wrenches(light.shape, [stated]))
 
 
 def test_a_slide_in_another_direction_is_named():

@@ -99,8 +99,8 @@ class _Simulated:
     def work_off(self) -> list[tuple[Cell, Entry]]:
         """Simulate all trials; return the problems whose trials succeeded, with their cells."""
         work_off(self._tasks, self._run.start, self._prepare)
-        self.left_out += [f"{each.particles.name}: {each.failure}" for each in self._ended if each.failure]
-        done = [each for each in self._ended if not each.failure]
+        self.left_out += [f"{each.particles.name}: {why}" for each in self._ended if (why := failure_of(each))]
+        done = [each for each in self._ended if not failure_of(each)]
         return [(cell := self._cells[each.particles.name], _entry(cell, each, self._store)) for each in done]
 
     def _prepare(self) -> bool:
@@ -116,6 +116,13 @@ class _Simulated:
         self.left_out += [f"{each.name}: {each.reason}" for each in refused]
         self._run.waiting.extend(made)
         return True
+
+
+def failure_of(experiment: Experiment) -> str:
+    """Reason why an experiment is no problem; empty for one with a trial on the table."""
+    if experiment.failure or len(experiment.keys) > 1:
+        return experiment.failure
+    return next((f"every action was refused: {why}" for why in experiment.reasons.values()), "it has no trial")
 
 
 def _entry(cell: Cell, experiment: Experiment, store: Store) -> Entry:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,14 +17,14 @@ from scenarios.benchmark import methods
 from scenarios.benchmark import problems as problem_module
 from scenarios.benchmark.answers import Answer, read_answers, write_answers
 from scenarios.benchmark.dataset import SAMPLES, STEPS, Benchmark
-from scenarios.benchmark.make import make
+from scenarios.benchmark.make import failure_of, make
 from scenarios.benchmark.problems import KINDS, PUBLISHED_SECRET, SPLITS, Cell, Kind, hidden, redrawn
 from scenarios.benchmark.publish import publish
 from scenarios.benchmark.score import even_masses, figures, interval_score, judged_row, score, truths, with_masses
 from scenarios.cli.main import main
 from scenarios.policies import Policy
 from scenarios.results.store import Store, object_request
-from testbed import InvalidValueError, MassDistribution
+from testbed import InvalidValueError, MassDistribution, Push
 from testbed.objects.files import ObjectFile, asset_folder, load_object
 from testbed.trajectory import SERIES
 from tests.helpers.commands import ended, refusal
@@ -87,6 +88,20 @@ def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("facts", "why"),
+    [
+        ({"keys": ["weighing", "push"]}, ""),
+        ({"failure": "weigh: the scale broke"}, "weigh: the scale broke"),
+        ({"reasons": {Push((0.0, 0.0), 0.0): "95 N"}}, "every action was refused: 95 N"),
+        ({}, "it has no trial"),
+    ],
+)
+def test_an_object_without_a_trial_is_no_problem(facts, why):
+    experiment = SimpleNamespace(**{"failure": "", "keys": ["weighing"], "reasons": {}} | facts)
+    assert failure_of(experiment) == why  # pyright: ignore[reportArgumentType]
+
+
 def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch, capsys):
     command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--out"]
     command += [str(tmp_path), "--benchmark", str(published.benchmark.folder)]

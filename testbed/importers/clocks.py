@@ -21,7 +21,7 @@ NO_DELAY = "not estimated, for want of an accelerated turn"
 """Provenance of separate streams whose delay is unknown."""
 LARGEST_STD = 0.005
 """Standard deviation from which a delay is reported and not corrected [s]."""
-_MODEL_ERROR = 0.0015
+MODEL_ERROR = 0.0015
 """Standard deviation of the error by the arm's lag, over turns of the library's objects; common to all turns [s]."""
 _SMOOTHING = 0.045
 """Standard deviation of the kernel that smooths torque and motion [s]."""
@@ -97,25 +97,27 @@ def wrench_delay(
 
     without = [fit(np.setdiff1d(inside, block)) for block in np.array_split(inside, _BLOCKS)]
     jackknife = (_BLOCKS - 1) * np.var(without)
-    return Delay(fit(inside), float(np.sqrt(jackknife + _MODEL_ERROR**2)))
+    return Delay(fit(inside), float(np.sqrt(jackknife + MODEL_ERROR**2)))
 
 
 def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
-    """Mean of the delays of several turns, weighted by their inverse variances; None without any.
+    """Mean of the delays of several turns, weighted by the inverse variances of their own; None without any.
+
+    The error of the model is common to all turns.
 
     Raises:
         LogError: delays that differ by more than five standard deviations: the clocks are not the same.
     """
     if not delays:
         return None
-    weights = np.array([delay.std**-2 for delay in delays])
+    weights = 1 / np.maximum([delay.std**2 - MODEL_ERROR**2 for delay in delays], 1e-12)
     mean = float(np.average([d.seconds for d in delays], weights=weights))
     if outliers := [d for d in delays if abs(d.seconds - mean) > 5 * d.std]:
         one, all_ = 1e3 * outliers[0].seconds, 1e3 * mean
         raise LogError(
             f"delay: {one:.1f} ms in one turn and {all_:.1f} ms in all; allowed: the same clocks in all logs"
         )
-    return Delay(mean, max(float(weights.sum() ** -0.5), _MODEL_ERROR))
+    return Delay(mean, float(np.sqrt(1 / weights.sum() + MODEL_ERROR**2)))
 
 
 def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.ndarray]:

@@ -284,7 +284,7 @@ class _Motion:
         if len(kept) < SHORTEST_TARE * RATE:
             return "other motion", f"the tip keeps no speed for {SHORTEST_TARE:g} s while it pushes", []
         place = self.position[:, :2]
-        way = np.linalg.norm(np.diff(place[contact], axis=0), axis=1).sum()
+        way = float(self.speed[contact].sum()) / RATE  # steps between poses add up their noise
         along = np.cumsum(self.speed[kept]) / RATE
         heading = np.unwrap(np.arctan2(self.twist[kept, 1], self.twist[kept, 0]))
         curvature, begin = np.polyfit(along, heading, 1)
@@ -297,7 +297,7 @@ class _Motion:
             direction = float(np.remainder(begin - lying.pose[contact[0], 2] + np.pi, 2 * np.pi) - np.pi)
             point = tuple(face.nearest(tips[0]).round(5).tolist())
             action = Push(
-                point, round(direction, 3), round(curvature, 2), round(speed, 4), round(float(way), 3), round(radius, 4)
+                point, round(direction, 3), round(curvature, 2), round(speed, 4), round(way, 3), round(radius, 4)
             )
             action.face(lying.shape)
         except InvalidValueError as error:

@@ -130,11 +130,13 @@ def test_a_push_comes_back_with_the_object_where_the_camera_saw_it(push: Traject
 
 
 @pytest.mark.slow
-def test_a_push_is_found(push: Trajectory, tmp_path: Path):
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_push_is_found(push: Trajectory, tmp_path: Path, noise: float):
     """Point, direction and radius by the camera's poses; the log alone gives speed and way."""
     assert isinstance(push.action, Push)
     frames = write_frames(tmp_path / "frames.csv", push)
-    log = write_csv(tmp_path / "log.csv", push)
+    place = push.tcp_position + noise * np.random.default_rng(0).standard_normal(push.tcp_position.shape)
+    log = write_csv(tmp_path / "log.csv", replace(push, tcp_position=place))
     table = mapping_with(push, "L2", [part_of(frames)])
     mapping = write_toml(tmp_path / "map.toml", table | {"action": None, "joints": None})
     (found,) = [segment for segment in find_segments(log, mapping) if segment.action]

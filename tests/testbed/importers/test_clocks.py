@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from estimators.testing.recorded import load_block
 from testbed import HeftError, InvalidValueError, Phase, Trajectory, draw_sensing, preset
-from testbed.importers.clocks import LONGEST_DELAY, Delay, pooled_delay, wrench_delay
+from testbed.importers.clocks import LONGEST_DELAY, MODEL_ERROR, Delay, pooled_delay, wrench_delay
 from testbed.importers.importer import delay_of, import_trajectory
 from testbed.importers.logs import FACTORS, LogError, Series, factor
 from testbed.importers.phases import common_base, resampled, resampled_rotation
@@ -61,6 +61,14 @@ def test_a_delay_is_found_and_taken_off(turns: list[Trajectory], tmp_path: Path,
     there = interpolated(again.time_s, turns[0].time_s, turns[0].sensor_wrench)
     off = np.sqrt(np.mean((again.sensor_wrench - there)[turned][:, 5] ** 2))
     assert off < 0.2 * np.std(there[turned][:, 5])
+
+
+@pytest.mark.parametrize("count", [1, 4, 16])
+def test_the_error_of_the_model_is_common_to_all_turns(count):
+    own = 0.003
+    found = pooled_delay([Delay(0.02, float(np.hypot(own, MODEL_ERROR)))] * count)
+    assert found is not None
+    assert found.std == pytest.approx(np.hypot(own / np.sqrt(count), MODEL_ERROR))
 
 
 def test_a_hand_that_never_turns_shows_no_delay():

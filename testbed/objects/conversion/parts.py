@@ -108,7 +108,8 @@ def _clustered(surface: Surface, how: str) -> list[float]:
     count, along = int(given), surface.points[:, 0]
     edges = np.linspace(along.min(), along.max(), SLICES + 1)
     of_slice = np.clip(np.digitize(along, edges) - 1, 0, SLICES - 1)
-    width = [np.ptp(surface.points[of_slice == i, 1:], axis=0).sum() for i in range(SLICES) if (of_slice == i).any()]
+    kept = np.unique(of_slice)
+    width = [np.ptp(surface.points[of_slice == i, 1:], axis=0).sum() for i in kept]
     n, sums = len(width), np.cumsum(np.column_stack([width, np.square(width)]), axis=0)
     sums = np.vstack([np.zeros(2), sums])
     size = np.maximum(np.arange(n + 1) - np.arange(n + 1)[:, None], 1)  # of slices begin to end
@@ -122,7 +123,10 @@ def _clustered(surface: Surface, how: str) -> list[float]:
     cuts = [n]
     for back in reversed(before):
         cuts.append(int(back[cuts[-1]]))
-    return [c / n for c in sorted(cuts[1:])]
+    low, _, _, high, _, _ = surface.whole.bounding_box()
+    # between the last slice of one cluster and the first of the next: those of a gap are empty
+    ends = [edges[0] + (edges[1] - edges[0]) * (kept[c - 1] + 1 + kept[c]) / 2 for c in sorted(cuts[1:])]
+    return [float((end - low) / (high - low)) for end in ends]
 
 
 def _shares(how: str) -> list[float]:

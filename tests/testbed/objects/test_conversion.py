@@ -208,6 +208,31 @@ def test_a_cavity_stays_a_cavity(tmp_path: Path):
     assert_allclose(body.volume(), 0.06**3 - 0.02**3, rtol=1e-9)
 
 
+@pytest.mark.parametrize("facets", [24, 48, 64, 256])
+def test_a_curved_side_is_one_pose_however_fine_it_is(tmp_path: Path, facets: int):
+    """A cylinder rests on its side in five of six falls."""
+    mesh = trimesh.creation.cylinder(0.015, 0.045, sections=facets)
+    poses = stable_poses(read_surface(saved(mesh, tmp_path / "cylinder.stl")))
+    assert_allclose([pose.probability for pose in poses], [0.833, 0.083, 0.083], atol=0.003)
+    assert np.ptp(np.abs(poses[0].matrix[2, 2])) == 0 and abs(poses[0].matrix[2, 2]) < 1e-6
+
+
+def test_sides_of_a_prism_are_poses_of_their_own(tmp_path: Path):
+    mesh = trimesh.creation.cylinder(0.015, 0.045, sections=6)
+    assert len(stable_poses(read_surface(saved(mesh, tmp_path / "prism.stl")))) == 8
+
+
+def test_a_gap_between_bodies_moves_no_cut(tmp_path: Path):
+    """The width changes at 160 mm; nothing lies from 40 to 120 mm."""
+    boxes = [
+        trimesh.creation.box(bounds=[[begin, -wide / 2, 0], [end, wide / 2, 0.02]])
+        for begin, end, wide in ((0.0, 0.04, 0.05), (0.12, 0.16, 0.05), (0.16, 0.2, 0.02))
+    ]
+    surface = read_surface(saved(together(*boxes), tmp_path / "gap.stl"))
+    last = max(cut(surface, "clusters:2")[0], key=lambda part: part.bounding_box()[3])
+    assert last.bounding_box()[0] == pytest.approx(0.16, abs=0.004)
+
+
 def test_parts_by_bodies_colours_planes_and_points_share_the_volume(tmp_path: Path):
     surface = read_surface(saved(mallet(overlap=0.01), tmp_path / "mallet.ply"))
     surface = surface.transformed(stable_poses(surface)[0].matrix)

@@ -22,7 +22,7 @@ from tests.helpers.chunks import Entity, logged
 from tests.helpers.records import turn_record
 from viz.recordings.bars import filled
 from viz.recordings.comparison import comparison_blueprint, log_comparison
-from viz.recordings.estimate import HORIZONS, estimate_blueprint, log_estimate
+from viz.recordings.estimate import HORIZONS, estimate_blueprint, friction_load, log_estimate
 from viz.recordings.mass_map import Raster
 from viz.recordings.page import ITERATION, Page
 from viz.style import BACKGROUND, DIFFERENCE_COLORS, MASS_COLORS, difference_scale, mapped, mass_scale, rgb
@@ -265,6 +265,26 @@ def test_discs_are_as_large_as_friction_loads(blocks):
     top = max(view.answer.mass.max(), view.truth.mass.max())
     packed = mapped(view.answer.mass[view.shape.mass_group], top, MASS_COLORS).astype(np.int64) @ PACK + 255
     assert_array_equal(particles.at_end("Points2D:colors"), packed)
+
+
+FEET = """name = "feet"
+[blocks]
+layout = ["111"]
+mass_kg = [0.2, 0.3, 0.4]
+friction = 0.4
+[feet]
+under_each_m = [[-0.015, -0.015], [0.015, -0.015], [0.0, 0.015]]
+"""
+
+
+@pytest.mark.parametrize("name", ["L2", "hammer", "wrench", "feet"])
+def test_loads_add_up_to_those_of_the_groups(name, tmp_path):
+    (path := tmp_path / "feet.toml").write_text(FEET, encoding="utf-8")
+    obj = load_object(path if name == "feet" else name)
+    found = friction_load(obj.shape, obj.truth.mass, obj.truth.friction)
+    of_group = np.bincount(obj.shape.mass_group, found, obj.shape.n_m)
+    friction = obj.truth.friction[obj.shape.friction_group.max()]
+    assert_allclose(of_group, friction * obj.group_mass * GRAVITY)
 
 
 def test_arrows_are_the_particles_velocities(blocks):

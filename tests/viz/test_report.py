@@ -275,7 +275,9 @@ def test_identifiers_of_two_figures_do_not_clash():
 
 def test_losses_start_at_one_and_may_differ_in_length():
     table = normalised([np.array([4.0, 2.0, 1.0]), np.array([2.0, np.inf]), np.array([np.nan, 1.0]), np.array([])])
-    np.testing.assert_array_equal(table, [[1.0, 0.5, 0.25], [1.0, np.inf, np.nan]])
+    np.testing.assert_array_equal(table, [[1.0, 0.5, 0.25], [1.0, np.inf, np.inf]])
+    ended = normalised([np.array([4.0, 2.0, 1.0]), np.array([2.0, 0.5]), np.array([1.0, 0.0])])
+    np.testing.assert_array_equal(ended, [[1.0, 0.5, 0.25], [1.0, 0.25, 0.25], [1.0, np.nan, np.nan]])
 
 
 def test_the_scenario_reads_back_from_the_report():

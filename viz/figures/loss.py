@@ -66,11 +66,15 @@ def estimate_losses(view: EstimateView) -> Figure | None:
 
 
 def normalised(losses: Sequence[np.ndarray]) -> np.ndarray:
-    """Losses relative to the first, (N, I), padded with NaN; without traces whose first loss is not positive."""
+    """Losses relative to the first, (N, I); without traces whose first loss is not positive.
+
+    A trace that ended keeps its last loss; a loss of 0 has no logarithm, NaN.
+    """
     scaled = [loss / loss[0] for loss in losses if len(loss) and np.isfinite(loss[0]) and loss[0] > 0]
     table = np.full((len(scaled), max((len(loss) for loss in scaled), default=0)), np.nan)
     for row, loss in zip(table, scaled, strict=True):
         row[: len(loss)] = np.where(loss > 0, loss, np.nan)
+        row[len(loss) :] = row[len(loss) - 1]
     return table[:, ~np.isnan(table).all(axis=0)]
 
 

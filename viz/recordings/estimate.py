@@ -166,9 +166,12 @@ def _log_masses(node: Node, shape: ObjectShape, frames: Frames, masses: Float[np
 def friction_load(
     shape: ObjectShape, mass: Float[np.ndarray, "... n_m"], friction: Float[np.ndarray, "n_mu"]
 ) -> Float[np.ndarray, "... P"]:
-    """Friction load mu m g of every particle [N]; 0 for particles that do not touch the table."""
-    coefficient = np.where(shape.friction_group < 0, 0.0, np.append(friction, 0.0)[shape.friction_group])
-    return coefficient * np.asarray(mass)[..., shape.mass_group] * GRAVITY
+    """Friction load of every particle on its group's own weight [N]; 0 for particles that do not touch the table."""
+    touching = shape.friction_group >= 0
+    coefficient = np.where(touching, np.append(friction, 0.0)[shape.friction_group], 0.0)
+    feet = np.maximum(np.bincount(shape.mass_group[touching], minlength=shape.n_m), 1)
+    carried = np.asarray(mass) * (shape.particles_per_group / feet)
+    return coefficient * carried[..., shape.mass_group] * GRAVITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,7 @@ class Trial:
             allowed = 'a draw, such as heft.WorldDraw.of(heft.world("lab"), obj, 0), or None'
             raise InvalidValueError("Trial.world", self.world, allowed)
         if self.world is not None:
-            drawn = None if self.world.world.none else replace(self.world, repeat=self.seed or self.world.repeat)
+            drawn = None if self.world.world.none else replace(self.world, repeat=self.seed)
             object.__setattr__(self, "world", drawn)
         if self.action.grasp is not None and self.action.grasp >= len(self.object.shape.grasps):
             names = ", ".join(f"{i} ({g.name})" for i, g in enumerate(self.object.shape.grasps))

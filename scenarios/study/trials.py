@@ -80,8 +80,7 @@ class TrialRun:
 
     def _start_trial(self, experiment: Experiment, action: Action) -> str:
         """Start a trial unless it is stored, refused or running; return its key."""
-        repeat = sum(made.action == action for made in experiment.trajectories)
-        trial = Trial(experiment.model, action, experiment.support, seed=repeat, world=experiment.world)
+        trial = Trial(experiment.model, action, experiment.support, world=experiment.world)
         settings = experiment.scenario.simulation.build()
         key = key_of(trial_request(trial, settings))
         if not (key in self.asking or key in self.refusals or self.store.has_trial(key)):

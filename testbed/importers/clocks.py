@@ -101,9 +101,9 @@ def wrench_delay(
 
 
 def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
-    """Mean of the delays of several turns, weighted by the inverse variances of their own; None without any.
+    """Mean of the delays of several turns, weighted by the inverse variances of their own errors; None without any.
 
-    The error of the model is common to all turns.
+    The error of the model is common to all turns: it neither weights them nor averages out.
 
     Raises:
         LogError: delays that differ by more than five standard deviations: the clocks are not the same.

@@ -63,7 +63,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     Raises:
         InvalidValueError: no such file, not a mesh, or not watertight.
     """
-    import trimesh  # noqa: PLC0415  with networkx a tenth of every process's start
+    import trimesh  # noqa: PLC0415  slow to import, and only mesh objects need it
 
     kind = path.suffix.lower().removeprefix(".")
     if kind not in FORMATS:

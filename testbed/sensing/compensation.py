@@ -96,10 +96,10 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     time = trajectory.time_s
     if len(time) < 3:
         return np.zeros_like(twist)
-    around = max(round(SMOOTHING / 2 / float(np.median(np.diff(time)))), 1)
-    window = min(2 * around + 1, len(twist) - 1 + len(twist) % 2)
     even = np.linspace(time[0], time[-1], len(time))
     step = float(even[1] - even[0])
+    around = max(round(SMOOTHING / 2 / step), 1)
+    window = min(2 * around + 1, len(twist) - 1 + len(twist) % 2)
     uneven = np.abs(time - even).max() > UNEVEN * step
     samples = interpolated(even, time, twist) if uneven else twist
     rates = np.asarray(savgol_filter(samples, window, 2, deriv=1, delta=step, axis=0))

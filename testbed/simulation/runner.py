@@ -49,8 +49,8 @@ class SimulationRunner:
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     """Settings of the simulation."""
     secret: str = field(default_factory=new_secret, repr=False)
-    """Text that seeds the sensor's errors together with a trial's seed and action; random by default. Runners with the
-    same secret draw the same errors."""
+    """Text that seeds the sensor's errors together with a trial's seed, object and action; random by default. Runners
+    with the same secret draw the same errors."""
     refuses: bool = True
     """False to run trials that `check` refuses and that may fail, such as grasps chosen with estimated masses."""
 

@@ -28,9 +28,9 @@ class WorldDraw:
     world: World
     """Sizes of the errors."""
     seed: int
-    """Seed, derived from a secret; it determines the draw."""
+    """Seed, derived from a secret; with `repeat` it determines the draw."""
     repeat: int = 0
-    """Number of the trial among those of one action: grasp, start and encoders err anew in each."""
+    """Number of the trial among those of one action: errors of grasp, start and encoders are drawn anew for each."""
 
     @classmethod
     def of(cls, world: World, model: ObjectModel, seed: int | str, secret: str | None = None) -> Self:

@@ -310,6 +310,14 @@ def test_a_results_folder_names_the_object(tmp_path: Path):
     assert len(runner.recordings) == 2
 
 
+def test_yaws_are_unwrapped_and_seeds_depend_on_the_object():
+    yaw = 3.0 + 0.1 * np.arange(10)
+    pose = np.column_stack([np.zeros((10, 2)), np.remainder(yaw + np.pi, 2 * np.pi) - np.pi])
+    assert np.allclose(record(10, object_pose=pose).object_pose[:, 2], yaw)
+    seeds = {Trial(load_object(name), Rotate(0), seed=1).seed_under("s") for name in ("L2", "F2", "hammer")}
+    assert len(seeds) == 3
+
+
 def test_a_simulated_record_gets_the_trials_draw_and_a_measured_one_none(tmp_path: Path):
     clean = moving_hand(wrench_world=np.arange(6.0))
     clean = replace(clean, provenance={"runner": "simulation", "support": "own_weight"})

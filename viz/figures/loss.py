@@ -68,7 +68,7 @@ def estimate_losses(view: EstimateView) -> Figure | None:
 def normalised(losses: Sequence[np.ndarray]) -> np.ndarray:
     """Losses relative to the first, (N, I); without traces whose first loss is not positive.
 
-    A trace that ended keeps its last loss; a loss of 0 has no logarithm, NaN.
+    A trace that ended keeps its last loss. Losses of 0 or less are NaN, since the axis is logarithmic.
     """
     scaled = [loss / loss[0] for loss in losses if len(loss) and np.isfinite(loss[0]) and loss[0] > 0]
     table = np.full((len(scaled), max((len(loss) for loss in scaled), default=0)), np.nan)

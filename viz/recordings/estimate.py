@@ -166,7 +166,10 @@ def _log_masses(node: Node, shape: ObjectShape, frames: Frames, masses: Float[np
 def friction_load(
     shape: ObjectShape, mass: Float[np.ndarray, "... n_m"], friction: Float[np.ndarray, "n_mu"]
 ) -> Float[np.ndarray, "... P"]:
-    """Friction load of every particle on its group's own weight [N]; 0 for particles that do not touch the table."""
+    """Friction load of every particle [N], its group's weight being carried by those that touch; 0 for the others.
+
+    `mass` is that of one particle of each group [kg].
+    """
     touching = shape.friction_group >= 0
     coefficient = np.where(touching, np.append(friction, 0.0)[shape.friction_group], 0.0)
     feet = np.maximum(np.bincount(shape.mass_group[touching], minlength=shape.n_m), 1)

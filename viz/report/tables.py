@@ -25,6 +25,7 @@ from estimators.evaluation.statistics import (
     significantly_best,
     summarize,
 )
+from testbed.validation import is_number
 from viz.values import support_name
 
 MOST_OBJECTS = 12
@@ -186,11 +187,7 @@ def _over_draws(rows: Sequence[Row], draws: Draws, metric: Metric, *, best: bool
 
 def _methods_with(rows: Sequence[Row], metric: Metric) -> list[str]:
     """Methods in the rows of a metric; for HINGES, those that report hinges."""
-    return methods_of([r for r in rows if metric is not HINGES or _is_finite(r.get(HINGES.column))])
-
-
-def _is_finite(value: float | None) -> bool:
-    return value is not None and math.isfinite(value)
+    return methods_of([r for r in rows if metric is not HINGES or is_number(r.get(HINGES.column))])
 
 
 def _one_unknown(rows: Sequence[Row], objects: Sequence[str]) -> str:

@@ -109,6 +109,7 @@ def _clustered(surface: Surface, how: str) -> list[float]:
     edges = np.linspace(along.min(), along.max(), SLICES + 1)
     of_slice = np.clip(np.digitize(along, edges) - 1, 0, SLICES - 1)
     kept = np.unique(of_slice)
+    count = min(count, len(kept))
     width = [np.ptp(surface.points[of_slice == i, 1:], axis=0).sum() for i in kept]
     n, sums = len(width), np.cumsum(np.column_stack([width, np.square(width)]), axis=0)
     sums = np.vstack([np.zeros(2), sums])

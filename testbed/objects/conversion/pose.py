@@ -9,8 +9,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 from scipy.optimize import nnls
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from testbed.errors import InvalidValueError
 from testbed.frames import cross_2d
@@ -88,7 +89,9 @@ def _distinct(surface: Surface, center: np.ndarray, matrices: np.ndarray, chance
     A side is a chain of facets that differ by `CURVED` at most.
     """
     downs = matrices[:, 2, :3]
-    side = connected_components(downs @ downs.T > np.cos(CURVED), directed=False)[1]
+    near = KDTree(downs).query_pairs(2 * np.sin(CURVED / 2), output_type="ndarray")
+    linked = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), (len(downs), len(downs)))
+    side = connected_components(linked, directed=False)[1]
     total = np.bincount(side, chances)
     for rank, each in enumerate(np.argsort(-total, kind="stable")):
         if rank and total[each] < LEAST_PROBABILITY:

@@ -32,8 +32,8 @@ SHORTEST_S = 1.0
 """Shortest rest that is a pose [s]."""
 MEASURED = 5
 """Least number of samples of a stream within `SHORTEST_S`."""
-UNIT = 1e-3
-"""Error of a reading before a fit shows it, as a part of the scatter of all readings."""
+ASSUMED_ERROR = 1e-3
+"""Error of a reading in the first fit of rows, as a part of the standard deviation of all readings."""
 FEWEST = 6
 """Least number of rests; with fewer, slow motion is used."""
 
@@ -100,16 +100,16 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
 def _of_rows(wrench: Series, pose: Pose, gravity: float) -> list[StaticPose]:
     """Poses of rows with both wrench and hand; the residuals of a fit, per axis, give the error of a reading."""
     _, of_hand, of_wrench = np.intersect1d(pose[0].time_s, wrench.time_s, return_indices=True)
+    if len(of_wrench) < FEWEST:
+        raise LogError(f"poses: {len(of_wrench)} rows; allowed: {FEWEST} or more, each tilted another way")
     values = wrench.values[of_wrench]
-    # far below what the readings change by: the misfit of the fit, not a unit, then scales every decision
-    force, torque = UNIT * np.maximum(np.sqrt(values.reshape(-1, 2, 3).var(axis=0).sum(axis=1)), 1e-6)
+    # small beside the changes of the readings: calibrate then judges by the scatter of its own residuals
+    force, torque = ASSUMED_ERROR * np.maximum(np.sqrt(values.reshape(-1, 2, 3).var(axis=0).sum(axis=1)), 1e-6)
     unit = np.repeat([force, torque], 3)
     pairs = zip(pose[1].as_quat(scalar_first=True)[of_hand], values, strict=True)
     poses = [StaticPose(hand, reading, unit) for hand, reading in pairs]
-    if len(poses) < FEWEST:
-        raise LogError(f"poses: {len(poses)} rows; allowed: {FEWEST} or more, each tilted another way")
     left, rows = residuals(calibrate(poses, gravity=gravity), poses), 6 * len(poses)
-    scatter = np.sqrt((left**2).mean(axis=0) * rows / (rows - UNKNOWNS))
+    scatter = np.sqrt(left.var(axis=0) * rows / (rows - UNKNOWNS))  # less the mean, which a walk of the zero has
     return [replace(each, standard_error=np.maximum(scatter, 1e-9)) for each in poses]
 
 

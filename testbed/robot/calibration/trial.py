@@ -157,7 +157,7 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
 def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     force, velocity = window.wrench[:2], window.twist[:2]
     angle = float(np.arctan2(cross_2d(velocity, force), velocity @ force))
-    spread = window.covariance + window.bias_covariance + window.since_tare.mean() * window.drift_covariance
+    spread = window.covariance + window.bias_covariance + abs(window.since_tare.mean()) * window.drift_covariance
     error = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]) / max(np.linalg.norm(force), 1e-9))
     # friction that differs by a along two axes of the table turns its force by up to 2 a
     lean = setup.table_tilt / LEAST_FRICTION

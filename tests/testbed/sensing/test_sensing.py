@@ -380,6 +380,14 @@ def test_accelerations_are_right_at_any_rate(rate, acceleration):
         assert_allclose(rates[kept].mean(axis=0), profile.acceleration[kept].mean(axis=0), atol=0.01)
 
 
+@pytest.mark.parametrize("steps", [[1.0], [0.4, 0.4, 2.2], [0.3, 0.3, 0.3, 3.1]], ids=str)
+def test_an_acceleration_that_changes_is_followed_at_uneven_samples(steps):
+    time = np.cumsum(np.resize(steps, 400)) / RATE
+    velocity = np.column_stack([np.sin(2 * np.pi * time), np.zeros((400, 5))])
+    found = twist_rates(world_record(400, time_s=time, tcp_velocity=velocity))[20:-20, 0]
+    assert_allclose(found, 2 * np.pi * np.cos(2 * np.pi * time)[20:-20], atol=0.03 * 2 * np.pi)
+
+
 @pytest.mark.parametrize("step", [0.01, 0.03, 0.05, 0.1])
 def test_links_are_reduced_at_any_rate(step):
     count = round(12 / step)

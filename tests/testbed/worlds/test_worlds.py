@@ -105,6 +105,8 @@ def test_trials_of_one_action_err_anew_in_the_same_setup():
     first, second = (Trial(L2, TURN, world=drawn, seed=seed).world for seed in (0, 1))
     assert first == drawn and second is not None
     assert not np.array_equal(second.start(TURN), drawn.start(TURN))
+    assert not np.array_equal(second.normal("encoder_noise", 6, TURN), drawn.normal("encoder_noise", 6, TURN))
+    assert replace(Trial(L2, TURN, world=drawn, seed=1), seed=0).world == drawn
     assert second.grasp(L2.shape.grasps[0], TURN).angle != drawn.grasp(L2.shape.grasps[0], TURN).angle
     assert_allclose(second.normal("gain", 6), drawn.normal("gain", 6))
     assert WorldDraw.in_record(second.provenance) == second

@@ -219,9 +219,11 @@ class Baseline(ABC):
     ) -> Estimate:
         """The estimate of a search, less its time; `weight` is M as weighed, whether or not the search had it.
 
-        A descent without M may diverge: masses beyond `MOST_MASS` are set to it.
+        A descent without M may diverge: masses beyond `MOST_MASS` are set to it, and frictions that are no numbers to
+        the largest that is drawn.
         """
-        found = replace(found, mass=np.where(found.mass <= MOST_MASS, found.mass, MOST_MASS))
+        friction = np.where(np.isfinite(found.friction), found.friction, FRICTION_RANGE[1])
+        found = replace(found, mass=np.where(found.mass <= MOST_MASS, found.mass, MOST_MASS), friction=friction)
         at, count = MassDistribution(found.mass, found.friction), problem.shape.particles_per_group
         misfit = found.misfit or misfit_on(self._support, problem.shape, weight, trajectories, at, self._errors)
         assert misfit is not None

@@ -39,6 +39,8 @@ LIKELY_FRICTION = 0.5
 FAR_OFF = 0.45
 """Part of the largest wrench, root mean square, above which a candidate explains no trial: a trial with its sign
 turned leaves more. Ours. Eq. problem cannot show this, since it divides by mass: a heavy guess hides such trials."""
+SLIDES = 1e-3
+"""Turn rate below which a window is one of a slide [rad/s]."""
 Weighting = Literal["velocity", "covariance"]
 
 
@@ -184,9 +186,9 @@ class Problem:
     def unexplained(self, mass: Float[Tensor, "n_m"], friction: Float[Tensor, "n_mu"]) -> float:
         """Mean square of the wrench that is left, as a part of that of the largest force and torque.
 
-        A fingertip has no torque: a push counts its force at the object's reach.
+        A fingertip has no torque, nor need a slide have one: both count their force at the object's reach.
         """
-        wrench, pushed = self.windows.wrench, self.windows.pushed
+        wrench, pushed = self.windows.wrench, self.windows.pushed | (self.windows.twist[:, 2].abs() < SLIDES)
         force, torque = wrench[:, :2].norm(dim=1).max(), wrench[:, 2].abs().max()
         if pushed.any():
             torque = torch.maximum(torque, self.model.reach * wrench[pushed, :2].norm(dim=1).max())

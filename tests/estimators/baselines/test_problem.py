@@ -15,11 +15,10 @@ from estimators.hidden_states.friction import closed_form
 from estimators.hidden_states.masses import inertia_map, one_friction_masses
 from estimators.hidden_states.trial_windows import TrialWindows
 from estimators.particles.wrench import AffineLoads
-from estimators.testing import analytic_world
 from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.wrench.model import ModelErrors, ParticleModel, inertia_of, one_step, rotate, turned
 from estimators.wrench.support import own_weight
-from testbed import GRAVITY, InvalidValueError, ObjectModel, Slide, Trajectory
+from testbed import InvalidValueError, ObjectModel, Slide, Trajectory
 from tests.helpers.answers import true_values, windows_of
 from tests.helpers.blocks import blocks
 
@@ -62,13 +61,6 @@ def guesses(obj: ObjectModel, count: int, seed: int = 0) -> tuple[torch.Tensor, 
     return tuple(t * torch.tensor(rng.uniform(0.5, 2, (count, len(t)))) for t in truth(obj))  # pyright: ignore[reportReturnType]
 
 
-def one_foot_a_block(obj: ObjectModel, grasp: int, lift: float, moment: object) -> np.ndarray:
-    """Loads where a block stands on one foot, which carries no tilt: the analytic world has none for it."""
-    del moment
-    lever = obj.shape.particles - obj.shape.grasps[grasp].position
-    return obj.particle_mass * GRAVITY - lift * (np.linalg.norm(lever, axis=1) < 1e-9)
-
-
 def everything(obj: ObjectModel, **carried: Any) -> list[Trajectory]:
     """Turns, accelerated turns and a slide."""
     slide = analytic_trial(obj, Slide(0, direction=0.7, duration=2.5), **carried)
@@ -76,9 +68,7 @@ def everything(obj: ObjectModel, **carried: Any) -> list[Trajectory]:
 
 
 @pytest.mark.parametrize(("grid", "friction_groups"), [(1, 1), (2, 2), (3, 1), (4, 3), (0, 2)])
-def test_the_truth_predicts_the_measured_wrench(grid, friction_groups, monkeypatch):
-    if grid == 1:
-        monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
+def test_the_truth_predicts_the_measured_wrench(grid, friction_groups):
     obj = cut(grid, friction_groups) if grid else drawn_object(0, friction_groups=friction_groups)
     problem = problem_of(obj, everything(obj, **CARRIED))
     assert bool(problem.windows.accelerated.any())
@@ -189,9 +179,7 @@ def test_the_torque_of_an_accelerated_turn_is_as_wrong_as_its_moment_of_inertia(
 
 
 @pytest.mark.parametrize("grid", [1, 2, 3])
-def test_affine_loads_are_the_loads_of_the_support_model(grid, monkeypatch):
-    if grid == 1:
-        monkeypatch.setattr(analytic_world, "_own_weight", one_foot_a_block)
+def test_affine_loads_are_the_loads_of_the_support_model(grid):
     obj = cut(grid)
     windows, model = windows_of(obj, everything(obj, **CARRIED)), ParticleModel.of(obj.shape)
     loads = AffineLoads.of(obj.shape, model, windows)

@@ -387,7 +387,8 @@ def test_predicted_information_of_links_is_that_of_records():
 
 
 def test_a_hinge_that_nothing_moves_keeps_its_prior_error():
-    assert_allclose(expected(CHAIN.shape, CHAIN.truth, [], IDEAL).hinge_error, HINGE_PRIOR)
+    rule = load_object("folding_rule")
+    assert_allclose(expected(rule.shape, rule.truth, [], IDEAL).hinge_error, HINGE_PRIOR)
 
 
 @pytest.mark.slow

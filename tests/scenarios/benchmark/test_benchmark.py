@@ -87,7 +87,6 @@ def test_wrong_numbers_of_objects_are_refused(tmp_path, arguments):
     assert ended("benchmark", "make", *arguments, "--out", str(tmp_path / "set")) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("facts", "why"),
     [
@@ -102,6 +101,7 @@ def test_an_object_without_a_trial_is_no_problem(facts, why):
     assert failure_of(experiment) == why  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_answers_are_written_and_not_made_again(published, tmp_path, monkeypatch, capsys):
     command = ["benchmark", "answer", "tests.scenarios.benchmark.test_benchmark:Even", "--workers", "0", "--out"]
     command += [str(tmp_path), "--benchmark", str(published.benchmark.folder)]

@@ -389,7 +389,7 @@ def test_hand_eye_finds_a_tracker(folder, capsys):
         (("check", "--config", "mine.toml"), "config: got 'mine.toml'"),
         (("hand-eye", "none.csv"), "POINTS.csv: got 'none.csv'"),
         (("trial", "L2"), "sensor.calibration: got 'calibration.toml'"),
-        (("trial", "L2", "--grasp", "Z9"), "grasp: got 'Z9'; allowed: one of B1, C1, A2"),
+        (("trial", "L2", "--grasp", "Z9"), "--grasp: got 'Z9'; allowed: one of B1, C1, A2"),
         (("trial", "L2", "--at", "0.6", "0", "0", "--action", "slide", "--dry-run"), "limit: the action: x of the"),
         (("trial", "L2", "--action", "weigh", "--weight", "-1"), "--weight: got -1.0"),
         (("trial", "L2", "--weight", "1.8"), "--weight: got 1.8; allowed: none with --action rotate: weigh uses it"),

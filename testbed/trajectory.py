@@ -18,6 +18,7 @@ from testbed.actions.weigh import Weigh
 from testbed.errors import InvalidValueError
 from testbed.files import load_sealed, read_table, write_table
 from testbed.sensing.camera import PoseStream
+from testbed.sensing.series import unwrapped
 from testbed.validation import freeze_arrays, frozen_array, is_number
 from testbed.worlds.setup_errors import EXACT_SETUP, SetupErrors
 
@@ -157,10 +158,8 @@ class Trajectory:
             )
         object.__setattr__(self, "time_s", time)
         freeze_arrays(self, **{name: (len(time), len(columns)) for name, columns in SERIES.items()})
-        pose = np.array(self.object_pose)
-        pose[:, 2] = np.unwrap(pose[:, 2])
-        object.__setattr__(self, "object_pose", pose)
-        freeze_arrays(self, object_pose=pose.shape, sensor_bias_std=(6,), sensor_drift_std=(6,))
+        object.__setattr__(self, "object_pose", unwrapped(self.object_pose[:, None])[:, 0])
+        freeze_arrays(self, sensor_bias_std=(6,), sensor_drift_std=(6,))
         largest = int(np.iinfo(np.int64).max)
         for name, lowest, highest in (("phase", 0, int(max(Phase))), ("segment", -1, largest)):
             values = np.array(getattr(self, name))

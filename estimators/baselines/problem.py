@@ -188,10 +188,10 @@ class Problem:
 
         A fingertip has no torque, nor need a slide have one: both count their force at the object's reach.
         """
-        wrench, pushed = self.windows.wrench, self.windows.pushed | (self.windows.twist[:, 2].abs() < SLIDES)
+        wrench, straight = self.windows.wrench, self.windows.pushed | (self.windows.twist[:, 2].abs() < SLIDES)
         force, torque = wrench[:, :2].norm(dim=1).max(), wrench[:, 2].abs().max()
-        if pushed.any():
-            torque = torch.maximum(torque, self.model.reach * wrench[pushed, :2].norm(dim=1).max())
+        if straight.any():
+            torque = torch.maximum(torque, self.model.reach * wrench[straight, :2].norm(dim=1).max())
         missing = (wrench - self.wrenches.wrench(mass, friction)) / torch.stack([force, force, torque])
         return float(missing.square().mean())
 

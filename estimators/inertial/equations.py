@@ -76,14 +76,15 @@ class InertialEquations:
         return np.where(scale > 0, scale, 1.0)
 
     @property
+    def directions(self) -> Float[np.ndarray, "10 rank"]:
+        """Directions of the values that some parameters explain, as columns; the others hold noise alone."""
+        left, strength, _ = np.linalg.svd(self.rows / self.scale)
+        return left[:, strength > 1e-6 * strength[0]]
+
+    @property
     def rank(self) -> int:
         """Rank of the equations, at most ten."""
-        strength = np.linalg.svd(self.rows / self.scale, compute_uv=False)
-        return int((strength > 1e-6 * strength[0]).sum())
-
-    def shown(self, values: Float[np.ndarray, "10"]) -> Float[np.ndarray, "rank"]:
-        """Components of values in the directions that some parameters explain; the others hold noise alone."""
-        return np.linalg.svd(self.rows / self.scale)[0][:, : self.rank].T @ values
+        return self.directions.shape[1]
 
 
 def regressor(

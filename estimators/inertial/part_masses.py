@@ -45,7 +45,8 @@ def homogeneous_parts(
         allowed = f"one or more that the motion distinguishes: at most {MOST_PARTS}, not in one plane, if it is still"
         raise InvalidValueError("parts", len(parts), allowed)
     best = nnls(rows / size, equations.values)[0] / size
-    left, free = equations.shown(equations.values - rows @ best), equations.rank - len(parts)
+    shown = equations.directions
+    left, free = shown.T @ (equations.values - rows @ best), shown.shape[1] - len(parts)
     # a residual of parts that are not homogeneous, not of noise
     of_parts = float(left @ left) / free if free > 0 else 0.0
     masses = np.array([nnls(rows / size, each)[0] / size for each in drawn_values(equations, seed, of_parts)])

@@ -44,8 +44,8 @@ class LoadGroups:
 
 def weight_per_mass(shape: ObjectShape, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n_s"]:
     """Weight on one particle in contact of each pair per kg of its group's particle mass, N/kg."""
-    feet = np.bincount(shape.mass_group[shape.friction_group >= 0], minlength=shape.n_m)
-    return np.array([GRAVITY * shape.particles_per_group[m] / feet[m] for m, _ in pairs])
+    groups = [m for m, _ in pairs]
+    return GRAVITY * shape.particles_per_group[groups] / shape.feet_per_group[groups]
 
 
 def rank_of(q: Float[np.ndarray, "R n_s"]) -> int:

@@ -237,9 +237,8 @@ def _own_weight(obj: ObjectModel, grasp: int, lift: float, moment: tuple[float, 
     for group in range(shape.n_m):
         under = (shape.mass_group == group) & feet
         offset[under] = shape.particles[under] - shape.particles[under].mean(axis=0)
-    tilt = (
-        offset @ np.linalg.lstsq(offset.T @ offset, np.asarray(moment), rcond=1e-9)[0]
-    )  # one foot a group takes no moment
+    # one foot a group takes no moment
+    tilt = offset @ np.linalg.lstsq(offset.T @ offset, np.asarray(moment), rcond=1e-9)[0]
     for group in shape.pressed(shape.grasps[grasp]):
         held = feet & (shape.mass_group == group)
         load -= held * lift / 2 / held.sum()

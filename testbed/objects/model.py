@@ -185,6 +185,11 @@ class ObjectShape(ReadOnlyArrays):
         return np.bincount(self.mass_group, minlength=self.n_m)
 
     @property
+    def feet_per_group(self) -> Int[np.ndarray, "n_m"]:
+        """Number of particles of each mass group that touch the table, (n_m,)."""
+        return np.bincount(self.mass_group[self.friction_group >= 0], minlength=self.n_m)
+
+    @property
     def is_contact(self) -> Bool[np.ndarray, "P"]:
         """True for particles that are points of contact alone: they touch, and have no material."""
         return (self.friction_group >= 0) & (self.fill == 0)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from testbed.errors import InvalidValueError
-from testbed.sensing.series import interpolated
+from testbed.sensing.series import interpolated, unwrapped
 from testbed.validation import check_integer, freeze_arrays, frozen_array, is_number
 
 DEGREE = 3
@@ -97,7 +97,7 @@ class PoseStream:
             raise InvalidValueError("PoseStream.time_s", f"{len(self.time_s)} times", "strictly increasing times, s")
         if np.isinf(poses).any() or (np.isnan(poses).any(axis=2) != np.isnan(poses).all(axis=2)).any():
             raise InvalidValueError("PoseStream.poses", "infinite or half-seen poses", "whole poses, or NaN for one")
-        object.__setattr__(self, "poses", _unwrapped(poses))
+        object.__setattr__(self, "poses", unwrapped(poses))
         for name in ("position_std", "angle_std", "delay_std"):
             if not (is_number(value := getattr(self, name)) and value >= 0):
                 raise InvalidValueError(f"PoseStream.{name}", value, "a finite number >= 0")
@@ -181,16 +181,6 @@ class CameraMotion:
     """Covariance of pose, twist and acceleration, in this order, from the frames' noise and the delay's error."""
     late: Float[np.ndarray, "N 9"]
     """Effect of one standard deviation of the delay, which all rows share; included in `covariance`."""
-
-
-def _unwrapped(poses: Float[np.ndarray, "F parts 3"]) -> Float[np.ndarray, "F parts 3"]:
-    """Poses whose yaws do not jump by whole turns between the frames in which a part was measured; read-only."""
-    poses = poses.copy()
-    for yaw in poses[..., 2].T:
-        measured = ~np.isnan(yaw)
-        yaw[measured] = np.unwrap(yaw[measured])
-    poses.flags.writeable = False
-    return poses
 
 
 def _nearest(time: np.ndarray, at: float, span: float, lost: float) -> np.ndarray:

@@ -13,6 +13,16 @@ def interpolated(
     return np.column_stack([np.interp(time, at, column) for column in values.T])
 
 
+def unwrapped(poses: Float[np.ndarray, "T parts 3"]) -> Float[np.ndarray, "T parts 3"]:
+    """Planar poses whose yaws do not jump by whole turns between measured samples, NaN at the others; read-only."""
+    poses = poses.copy()
+    for yaw in poses[..., 2].T:
+        measured = ~np.isnan(yaw)
+        yaw[measured] = np.unwrap(yaw[measured])
+    poses.flags.writeable = False
+    return poses
+
+
 def runs(inside: Bool[np.ndarray, "T"]) -> list[Int[np.ndarray, "N"]]:
     """Indices of every unbroken stretch of True."""
     indices = np.flatnonzero(inside)

@@ -78,7 +78,7 @@ def sink_depths(guess: ObjectModel, support: Support) -> Float[np.ndarray, "lift
     """Depth [m] by which each vertical slide of the scene sinks under the guessed weights."""
     if support.is_rigid:
         return np.array([CONTACT.sag])
-    feet = np.bincount(guess.shape.mass_group[guess.shape.friction_group >= 0], minlength=guess.shape.n_m)
+    feet = guess.shape.feet_per_group
     return guess.group_mass * GRAVITY / feet / foot_stiffness(guess, CONTACT)
 
 

@@ -170,10 +170,8 @@ def friction_load(
 
     `mass` is that of one particle of each group [kg].
     """
-    touching = shape.friction_group >= 0
-    coefficient = np.where(touching, np.append(friction, 0.0)[shape.friction_group], 0.0)
-    feet = np.maximum(np.bincount(shape.mass_group[touching], minlength=shape.n_m), 1)
-    carried = np.asarray(mass) * (shape.particles_per_group / feet)
+    coefficient = np.where(shape.friction_group < 0, 0.0, np.append(friction, 0.0)[shape.friction_group])
+    carried = np.asarray(mass) * (shape.particles_per_group / np.maximum(shape.feet_per_group, 1))
     return coefficient * carried[..., shape.mass_group] * GRAVITY
 
 

@@ -330,24 +330,17 @@ def test_sizes_are_in_words():
     assert Cause("grasp_offset", 3.0, 0.0021, absurd=False).formatted == "2.1 mm"
 
 
+LIGHTER = [
+    (name, part, method)
+    for name, part in (("I2-own_weight", 0.95), ("L2-own_weight", 0.95), ("I2-own_weight", 0.3))
+    for method in ("hidden_states", "bayes", "least_squares")
+]
+QUICK = (("I2-own_weight", 0.95, "bayes"), ("I2-own_weight", 0.3, "hidden_states"))
+
+
 @pytest.mark.parametrize(
     ("name", "part", "method"),
-    [
-        ("I2-own_weight", 0.95, "bayes"),
-        ("I2-own_weight", 0.3, "hidden_states"),
-        *(
-            pytest.param(*case, marks=pytest.mark.slow)
-            for case in (
-                ("I2-own_weight", 0.95, "hidden_states"),
-                ("I2-own_weight", 0.95, "least_squares"),
-                ("I2-own_weight", 0.3, "bayes"),
-                ("I2-own_weight", 0.3, "least_squares"),
-                ("L2-own_weight", 0.95, "hidden_states"),
-                ("L2-own_weight", 0.95, "bayes"),
-                ("L2-own_weight", 0.95, "least_squares"),
-            )
-        ),
-    ],
+    [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in LIGHTER],
 )
 def test_a_weight_that_is_wrong_by_a_twentieth_or_by_far_shows_in_accelerated_turns(
     name: str, part: float, method: str

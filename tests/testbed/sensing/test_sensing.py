@@ -354,7 +354,7 @@ def test_parts_of_a_window_are_as_long_as_each_other(count):
 
 @pytest.mark.parametrize("steps", [[1, 1, 1, 2], [0.5, 1.5], [0.4, 0.4, 2.2]], ids=str)
 def test_uneven_samples_leave_nothing_of_the_tools_inertia(steps):
-    """As of lost frames, or of frames that come in bursts."""
+    """Lost frames, or frames that come in bursts."""
     even = moving_hand()
     kept = np.cumsum(np.resize(steps, len(even.time_s))) / RATE
     kept = kept[kept < even.time_s[-1]]

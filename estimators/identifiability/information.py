@@ -282,7 +282,7 @@ class _Trials:
     def _rows(self, measurement: Measurement) -> list[tuple[np.ndarray, Float[np.ndarray, "C R U"]]]:
         """Indices of trials with equal numbers of rows, and their whitened rows, reduced to the information's rank."""
         found, anew = measurement.linearized(self.unknowns, self.unknowns.start()), self.anew
-        trial = np.concatenate([np.full(rows, trial) for _, rows, trial in measurement.parts])
+        trial = np.concatenate([np.full(rows.count, rows.trial) for rows in measurement.parts])
         each = []
         for rows, covariance in found.blocks:
             slopes = found.slopes[rows]

@@ -162,11 +162,15 @@ def _with_odd_trial(
         others = [each for place, each in enumerate(trajectories) if place != trial]
         rest = posterior_of(shape, weight, others, support)
         fitted()
-        if rest is not None and rest.explained.by_chance:
+        if rest is None or rest.freedom < 1:  # nothing is left that could disagree: the trial stays a suspect
+            agreeing[trial] = math.inf
+        elif rest.explained.by_chance:
             agreeing[trial] = rest.explained.value
     if len(agreeing) != 1:
         return diagnosis
     ((trial, value),) = agreeing.items()
+    if math.isinf(value):
+        return diagnosis
     return replace(diagnosis, odd_trial=trial, without=value)
 
 

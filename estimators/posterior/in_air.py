@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.particles.lifts import LiftErrors, lift_covariance, upright_sizes
-from estimators.posterior.solver import Linearized
+from estimators.posterior.solver import Linearized, Rows
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.air import Air, nominal
 from estimators.wrench.jacobian import Slopes, Theta
@@ -57,9 +57,9 @@ class InAir:
         return torch.tensor(np.concatenate([window.wrench for window in self.windows]))
 
     @property
-    def parts(self) -> list[tuple[str, int, int]]:
+    def parts(self) -> list[Rows]:
         """One part: all windows."""
-        return [("the wrenches in the air", 6 * len(self.windows), self.trial)]
+        return [Rows("the wrenches in the air", 6 * len(self.windows), self.trial)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance, which contains the errors of this trial alone."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -13,13 +12,13 @@ from torch.func import vmap
 from torch.nn.functional import pad
 
 from estimators.particles.windows import Observations
-from estimators.posterior.solver import Linearized
+from estimators.posterior.solver import Linearized, Rows
 from estimators.posterior.table_errors import TableErrors, rows_of_planar
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
 from estimators.wrench.sensor import flawed, turned_wrench
-from estimators.wrench.support import GripperLoad, Springs, Support, contact_spread, own_weight
+from estimators.wrench.support import PUSHED, GripperLoad, Springs, Support, contact_spread, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
@@ -67,7 +66,9 @@ class ContactPatterns:
             torch.nonzero(((model.mass_group == g) & model.contact)[:, None].expand(points.shape[:2]))
             for g in range(groups)
         ]
-        chosen = [at[:: max(1, math.ceil(len(at) / MOST_POINTS))] for at in every]
+        # a draw, since steps of equal length may keep to one line of a lattice
+        drawn = torch.Generator().manual_seed(0)
+        chosen = [at[torch.randperm(len(at), generator=drawn)[:MOST_POINTS].sort().values] for at in every]
         count = torch.tensor([len(at) for at in chosen])
         part = torch.zeros(*points.shape[:2], groups, int(count.max()) - 1, dtype=torch.float64)
         radial = torch.zeros(groups, part.shape[-1], dtype=torch.float64)
@@ -176,11 +177,15 @@ class OnTable:
         return rows_of_planar(height, self.windows.hinges) @ planar
 
     @property
-    def parts(self) -> list[tuple[str, int, int]]:
+    def parts(self) -> list[Rows]:
         """One part a trial, in order; the windows of a trial are consecutive."""
-        trials, count = torch.unique_consecutive(self.windows.trial, return_counts=True)
-        rows = 6 + self.windows.hinges
-        return [(WRENCHES, rows * n, t) for t, n in zip(trials.tolist(), count.tolist(), strict=True)]
+        windows = self.windows
+        trials, place, count = torch.unique_consecutive(windows.trial, return_inverse=True, return_counts=True)
+        # the load of a fingertip, and the friction of a hinge at rest, may have any size
+        free = len(PUSHED) * windows.pushed + (windows.standing.sum(1) if windows.articulated else 0)
+        idle = torch.zeros_like(count).index_add(0, place, free)
+        rows = ((6 + windows.hinges) * count).tolist()
+        return [Rows(WRENCHES, *each) for each in zip(rows, trials.tolist(), idle.tolist(), strict=True)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and covariance, which contains the gripper's load, in which the rows are linear.

@@ -19,7 +19,7 @@ from estimators.particles.links import hinge_frictions
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
 from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
-from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Whitened, joined, solve
+from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Rows, Whitened, joined, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
@@ -81,10 +81,16 @@ class Part:
     """True for rows, False for a nuisance."""
 
     @staticmethod
-    def of(name: str, values: Float[Tensor, "m"], trial: int | None = None, *, of_rows: bool = False) -> Part:
-        """Part that consists of some whitened values."""
+    def of(name: str, values: Float[Tensor, "m"], trial: int | None = None) -> Part:
+        """Nuisance with some values of z."""
         square = float(values.square().sum())
-        return Part(name, square / len(values), log_chance(square, len(values)), trial, of_rows)
+        return Part(name, square / len(values), log_chance(square, len(values)), trial)
+
+    @staticmethod
+    def of_measured(rows: Rows, residual: Float[Tensor, "m"]) -> Part:
+        """Rows with a whitened residual."""
+        square = float(residual.square().sum())
+        return Part(rows.name, square / rows.counted, log_chance(square, rows.counted), rows.trial, of_rows=True)
 
     @property
     def sentence(self) -> str:
@@ -138,38 +144,36 @@ class Posterior:
 
     @cached_property
     def mode(self) -> Float[Tensor, "n"]:
-        """`optimum.z` with each friction at the mode of its marginal density.
+        """`optimum.z` with an only friction at the mode of its marginal density.
 
         `optimum` is the mode of the joint density. A friction scales the effects of masses and nuisances, and with them
         the volume that the measurements leave to them; the slope of its logarithm moves the mode by up to a standard
-        error (Laplace's approximation to the marginal density, to first order).
+        error (Laplace's approximation to the marginal density, to first order). Several frictions stay at the joint
+        mode: the trials show their products with masses, which a shift of frictions alone would change.
         """
-        z, own, std = self.optimum.z, torch.zeros_like(self.of_object), self.unknowns.blocks["friction"].std
-        own[self.unknowns.at["friction"]] = std > 0
-        inside = self.laplace[own][:, own]
-        error = inside.diagonal().sqrt()
-        # effects of the others are proportional to friction, so each fitted number counts once
-        fitted = (1 - self.laplace.diagonal()[~own]).sum()
-        shifted = torch.nonzero(fitted * std[std > 0] * error > LEAST_SHIFT).flatten().tolist()
-        if not shifted:
+        z, std = self.optimum.z, self.unknowns.blocks["friction"].std.flatten()
+        if len(std) > 1:
             return z
-        ridge = self.laplace[:, own] @ torch.linalg.inv(inside)
+        (own,) = torch.arange(len(z))[self.unknowns.at["friction"]].tolist()
+        variance = self.laplace[own, own]
+        error, others = variance.sqrt(), torch.arange(len(z)) != own
+        # effects of the others are proportional to friction, so each fitted number counts once
+        fitted = (1 - self.laplace.diagonal()[others]).sum()
+        if fitted * std[0] * error <= LEAST_SHIFT:
+            return z
 
         def volume(slopes: Sequence[Tensor]) -> float:
-            others = torch.cat(list(slopes))[:, ~own]
-            eye = torch.eye(others.shape[1], dtype=torch.float64)
-            return -float(torch.linalg.slogdet(others.T @ others + eye)[1]) / 2
+            each = torch.cat(list(slopes))[:, others]
+            eye = torch.eye(each.shape[1], dtype=torch.float64)
+            return -float(torch.linalg.slogdet(each.T @ each + eye)[1]) / 2
 
-        rows, slope = self._rows_at_optimum, torch.zeros_like(error)
-        now = volume([row.slopes for row in rows])
-        for k in shifted:
-            at = z + STEP * ridge[:, k]
-            there = [found.slopes_at(at) for found in self._at_optimum]
-            slope[k] = (volume([row.over(each) for row, each in zip(rows, there, strict=True)]) - now) / STEP
-        step = inside @ slope
+        rows, ridge = self._rows_at_optimum, self.laplace[:, own] / variance
+        there = [found.slopes_at(z + STEP * ridge) for found in self._at_optimum]
+        ahead = volume([row.over(each) for row, each in zip(rows, there, strict=True)])
+        slope = (ahead - volume([row.slopes for row in rows])) / STEP
         # the slope holds within about one standard error
         moved = z.clone()
-        moved[own] += step / max(float((step / error).abs().amax()), 1.0)
+        moved[own] += (variance * slope).clamp(-error, error)
         return moved
 
     @cached_property
@@ -228,8 +232,14 @@ class Posterior:
 
     @property
     def freedom(self) -> int:
-        """Rows less masses and frictions."""
-        return len(self.optimum.residual) - int(self.of_object.sum())
+        """Rows that count less masses and frictions.
+
+        All rows where masses that are taken as known are as many: whether they were fitted to these trials or not, a
+        misfit of few rows is then no chance.
+        """
+        rows, known = sum(rows.counted for rows, _ in self._measured), not self.unknowns.blocks["mass"].std.any()
+        free = rows - int(self.of_object.sum())
+        return rows if known and free < 1 else free
 
     @property
     def misfit(self) -> float:
@@ -244,10 +254,8 @@ class Posterior:
         A nuisance that is drawn in each trial has a part for each. One of a single number is compared with the scatter
         that its estimate has by the prior: far below 1 where the measurements show little of it.
         """
-        found = [
-            Part.of(name, self.optimum.residual[rows], trial, of_rows=True) for name, rows, trial in self._measured
-        ]
-        on_table = [trial for name, _, trial in self._measured if name == WRENCHES]
+        found = [Part.of_measured(rows, self.optimum.residual[where]) for rows, where in self._measured]
+        on_table = [rows.trial for rows, _ in self._measured if rows.name == WRENCHES]
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:
                 continue
@@ -263,11 +271,11 @@ class Posterior:
         return sorted(found, key=lambda part: part.log_chance)
 
     @property
-    def _measured(self) -> list[tuple[str, slice, int | None]]:
-        """Name, rows and trial of every measured part."""
-        parts = [part for measurement in self.measurements for part in measurement.parts]
-        ends = np.cumsum([rows for _, rows, _ in parts]).tolist()
-        return [(name, slice(end - rows, end), trial) for (name, rows, trial), end in zip(parts, ends, strict=True)]
+    def _measured(self) -> list[tuple[Rows, slice]]:
+        """Every measured part, and the place of its rows among all."""
+        parts = [rows for measurement in self.measurements for rows in measurement.parts]
+        ends = np.cumsum([rows.count for rows in parts]).tolist()
+        return [(rows, slice(end - rows.count, end)) for rows, end in zip(parts, ends, strict=True)]
 
     @property
     def named(self) -> Part:
@@ -281,12 +289,13 @@ class Posterior:
         if not worst.of_rows or worst.trial is None:
             return worst
         residual, slopes = self.optimum.residual, torch.cat([rows.slopes for rows in self._rows_at_optimum])
-        rows_of = {trial: rows for _, rows, trial in self._measured}
+        rows_of = {rows.trial: (rows, where) for rows, where in self._measured}
 
         def without(part: Part) -> float:
-            rows = rows_of[part.trial]
-            leverage, axes = torch.linalg.eigh(slopes[rows] @ self.laplace @ slopes[rows].T)
-            return float(((axes.T @ residual[rows]).square() / (1 - leverage).clamp(min=LEAST_LEFT)).mean())
+            rows, where = rows_of[part.trial]
+            leverage, axes = torch.linalg.eigh(slopes[where] @ self.laplace @ slopes[where].T)
+            square = ((axes.T @ residual[where]).square() / (1 - leverage).clamp(min=LEAST_LEFT)).sum()
+            return float(square) / rows.counted
 
         return max((part for part in self.parts if part.of_rows and part.trial is not None), key=without)
 
@@ -394,19 +403,16 @@ class Posterior:
 
     def estimate(self, shape: ObjectShape) -> Estimate:
         """Estimate of masses and frictions, its status by the misfit and the unobserved directions."""
-        values, mass = self.unknowns.values(self.mode), self.unknowns.at["mass"]
+        values, mass, misfit = self.unknowns.values(self.mode), self.unknowns.at["mass"], self.explained
         at = MassDistribution(values["mass"].numpy(), values["friction"].numpy())
         report = identifiability(shape, at, self.rows.numpy())
-        misfit = self.explained
         covariance = misfit.widening * self.covariance[mass, mass].numpy()
         open_ = report.rank < report.unknowns
         directions = report.ambiguity
         if misfit.explains and not open_ and (loose := hardly_known(shape, at.mass, covariance)):
             open_, directions = True, loose
         settled = "" if self.optimum.converged else f"the search ended after {self.optimum.rounds} rounds"
-        widening = misfit.widening**0.5
-        frictions = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
-        hinges, unseen = self._hinges(widening)
+        _, unseen = self._hinges
         named = "" if misfit.explains else self.named.sentence
         status = "underdetermined" if open_ else misfit.status if self.optimum.converged else "not_converged"
         return Estimate(
@@ -415,14 +421,16 @@ class Posterior:
             "; ".join(filter(None, [directions, settled, misfit.reason, named, unseen])),
             covariance=covariance,
             identifiability=report,
-            diagnostics={
-                **misfit.diagnostics,
-                **frictions,
-                **hinges,
-                **self.nuisances(),
-                "rounds": float(self.optimum.rounds),
-            },
+            diagnostics=self.diagnostics,
         )
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Misfit, errors of the frictions, hinges, nuisances and rounds, by name, widened by the misfit."""
+        widening = self.explained.widening**0.5
+        frictions = {f"friction_{k}_std": widening * float(std) for k, std in enumerate(self.of("friction")[1])}
+        rounds = {"rounds": float(self.optimum.rounds)}
+        return self.explained.diagnostics | frictions | self._hinges[0] | self.nuisances() | rounds
 
     def of(self, name: str) -> tuple[Tensor, Tensor]:
         """Most likely values of a block and their standard deviations, in the block's unit and shape."""
@@ -469,9 +477,10 @@ class Posterior:
                 found |= {of: value, f"{of}_std": std}
         return found
 
-    def _hinges(self, widening: float) -> tuple[dict[str, float], str]:
+    @cached_property
+    def _hinges(self) -> tuple[dict[str, float], str]:
         """Friction of every hinge that turns, with its error, N m; and a message that names the others."""
         if "hinge_friction" not in self.unknowns.blocks:
             return {}, ""
         torque, std = self.of("hinge_friction")
-        return hinge_frictions(torque.tolist(), std.tolist(), widening)
+        return hinge_frictions(torque.tolist(), std.tolist(), self.explained.widening**0.5)

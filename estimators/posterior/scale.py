@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimators.posterior.solver import Linearized
+from estimators.posterior.solver import Linearized, Rows
 from estimators.posterior.unknowns import Unknowns
 from testbed.objects.model import ObjectShape
 from testbed.worlds.setup_errors import SetupErrors
@@ -45,9 +45,9 @@ class Scale:
     """Derivatives of the reading, and its error."""
 
     @property
-    def parts(self) -> list[tuple[str, int, None]]:
+    def parts(self) -> list[Rows]:
         """The reading alone."""
-        return [("the weighing", 1, None)]
+        return [Rows("the weighing", 1)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:
         """Residual, derivatives and variance."""

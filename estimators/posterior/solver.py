@@ -41,12 +41,29 @@ class Linearized:
     """Number of rows absorbed by unknowns of the measurement itself, such as the gripper's load."""
 
 
+@dataclass(frozen=True)
+class Rows:
+    """Consecutive rows of a measurement."""
+
+    name: str
+    count: int
+    trial: int | None = None
+    """Index of their trial among the trajectories."""
+    idle: int = 0
+    """Number of them that unknowns of the measurement itself fit, whatever they are."""
+
+    @property
+    def counted(self) -> int:
+        """Number of rows that count for the misfit."""
+        return self.count - self.idle
+
+
 class Measurement(Protocol):
     """Measured rows and their forward model."""
 
     @property
-    def parts(self) -> Sequence[tuple[str, int, int | None]]:
-        """Parts of the rows in order: name, number of rows, and trial by its index among the trajectories."""
+    def parts(self) -> Sequence[Rows]:
+        """Parts of the rows in order."""
         ...
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:

@@ -81,15 +81,11 @@ class TableErrors:
             carried: derivatives of the rows in the gripper's lift and moment.
         """
         windows, rows, found = self.windows, self.own.shape[1], []
-        more = (0, windows.hinges, 0, windows.hinges)
         for inside in self.trials:
             each, shared = torch.arange(inside.shape[1]), self.shared[inside].flatten(1, 2)
-            bias, drift = pad(windows.bias[inside[:, 0]], more), pad(windows.drift[inside[:, 0]], more)
-            covariance = (
-                self._of_load(carried, inside)
-                + walk(windows.since_tare[inside])[:, :, None, :, None] * drift[:, None, :, None]
-            )
-            covariance += bias[:, None, :, None]
+            drifts = walk(windows.since_tare[inside])[:, :, None, :, None]
+            covariance = self._of_load(carried, inside) + drifts * self._of_sensor(windows.drift, inside)
+            covariance += self._of_sensor(windows.bias, inside)
             covariance[:, each, :, each] += self.own[inside].transpose(0, 1)
             covariance = covariance.flatten(3).flatten(1, 2) + shared @ shared.mT
             variance = covariance.diagonal(dim1=1, dim2=2)
@@ -100,6 +96,19 @@ class TableErrors:
     def _of_load(self, carried: Float[Tensor, "K r 3"], inside: Int[Tensor, "C k"]) -> Float[Tensor, "C k r k r"]:
         """Part of the covariance of some trials' rows that the gripper's load causes."""
         return torch.einsum("ckia,ckla,clja->ckilj", carried[inside], self.load_covariance(inside), carried[inside])
+
+    def _of_sensor(self, error: Float[Tensor, "K 6 6"], inside: Int[Tensor, "C k"]) -> Float[Tensor, "C k r k r"]:
+        """Covariance of some trials' rows by an error that is constant in the sensor's axes.
+
+        A pushed object turns under the hand, and the sensor's axes in those of the object.
+
+        Args:
+            error: covariance of the error in each window, of which that in the first of a trial counts.
+            inside: indices of the windows of each trial.
+        """
+        axes = self.windows.from_sensor[inside]
+        turned = pad(torch.linalg.solve(axes[:, :1], axes, left=False), (0, 0, 0, self.windows.hinges))
+        return torch.einsum("ckab,cbd,cled->ckale", turned, error[inside[:, 0]], turned)
 
     def absorbed(self, carried: Float[Tensor, "K r 3"], blocks: Blocks) -> float:
         """Number of rows absorbed by the gripper's load: the trace of its part of their covariance."""

@@ -17,7 +17,7 @@ from estimators.particles.misfit import UNEXPLAINED
 from estimators.posterior.diagnosis import Cause, diagnose
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.posterior import CAUSES
-from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object
+from estimators.testing.analytic_world import accelerated, analytic_trial, drawn_object, turns
 from estimators.testing.recorded import KnownBlock, load_block
 from estimators.wrench.support import SupportModel
 from testbed import HeftError, MassDistribution, Rotate, SetupErrors, world
@@ -187,6 +187,14 @@ def test_without_a_prediction_the_answer_stays():
 
 
 @pytest.mark.slow
+def test_masses_that_few_rows_refute_are_no_chance():
+    shape, weight, once = OBJECT.shape, OBJECT.total_mass, [analytic_trial(OBJECT, Rotate(0))]
+    reversed_ = MassDistribution(OBJECT.truth.mass[::-1].copy(), OBJECT.truth.friction)
+    assert Bayes().estimate(shape, weight, once, 0).diagnostics["misfit_freedom"] < 1
+    wrong = judged(says(reversed_, assumes=OWN_WEIGHT), shape, weight, once)
+    assert wrong.status == "unexplained" and wrong.diagnostics["misfit_freedom"] > 0
+
+
 def test_masses_of_groups_are_told_from_those_of_particles():
     of_groups = MassDistribution(TRUTH.mass * SHAPE.particles_per_group, TRUTH.friction)
     assert "9 times the weight: these are masses of groups" in status_of(says(of_groups)).message
@@ -258,6 +266,13 @@ def test_of_two_trials_that_contradict_each_other_none_is_named():
     first, second = analytic_trial(OBJECT, Rotate(0)), analytic_trial(OBJECT, Rotate(1))
     wrong = replace(first, wrench_on_object_world=1.2 * first.wrench_on_object_world)
     found = diagnosed(OBJECT.shape, OBJECT.total_mass, [wrong, second])
+    assert not found.misfit.explains and found.odd_trial is None
+
+
+def test_of_a_wrong_turn_and_a_right_one_that_shows_nothing_alone_none_is_named():
+    (steady,), (swung,) = turns(OBJECT, [0], noise=0.1), accelerated(OBJECT, [1], noise=0.1)
+    wrong = replace(steady, wrench_on_object_world=1.5 * steady.wrench_on_object_world)
+    found = diagnosed(OBJECT.shape, OBJECT.total_mass, [wrong, swung])
     assert not found.misfit.explains and found.odd_trial is None
 
 

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from estimators import HiddenStates, Observations
+from estimators.evaluation.judged import misfit_on
 from estimators.particles import links
 from estimators.particles.lifts import lifts_among
 from estimators.posterior import solver, table_errors
@@ -30,11 +31,15 @@ from estimators.testing.conformance import opposed
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.support import SupportModel
 from testbed import Lift, Push, Rotate, Slide, faces, world
+from testbed.frames import move_wrench, rotate_wrench, rotation_matrix
+from testbed.objects.chain import Chain
+from testbed.sensing.camera import PoseStream
 from testbed.worlds.setup_errors import EXACT_SETUP
 from tests.fakes.analytic_links import analytic_links, drawn_chain
 from tests.fakes.analytic_push import analytic_pushes
 from tests.fakes.lifted_world import lifted
 from tests.helpers.answers import ask, claimed, found, trials_of, true_values, windows_of
+from tests.helpers.blocks import blocks
 from tests.helpers.lab import lab_trials
 
 OBJECT = drawn_object(2)
@@ -157,6 +162,45 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
     found = solve([measured, scale], unknowns, unknowns.start(friction=0.3))
     assert found.converged
     assert_allclose(unknowns.values(found.z)["mass"], model.truth.mass, rtol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["turns", "pushes"])
+def test_a_constant_error_in_the_sensors_axes_changes_no_answer_where_its_size_is_unknown(kind):
+    model, trials = KINDS[kind]
+    error = np.array([0.4, -0.3, 0.2, 0.02, 0.01, -0.02])
+    stated = [replace(trial, sensor_bias_std=np.repeat([20.0, 1.0], 3)) for trial in trials()]
+    wrenches = [rotate_wrench(rotation_matrix(t.sensor_orientation), move_wrench(error, t.tool.tcp)) for t in stated]
+    wrong = [
+        replace(t, wrench_on_object_world=t.wrench_on_object_world + more)
+        for t, more in zip(stated, wrenches, strict=True)
+    ]
+    right, found = (joint(model, each).of("mass")[0] for each in (stated, wrong))
+    assert_allclose(found, right, rtol=0.03)  # a search ends within a third of a standard error
+
+
+@pytest.mark.slow
+def test_the_misfit_counts_no_row_that_the_load_of_a_fingertip_absorbs():
+    model, (on_table, scale), unknowns = problem("pushes")
+    posterior = Posterior(unknowns, [on_table, scale], solve([on_table, scale], unknowns, at_truth(model, unknowns)))
+    absorbed = on_table.linearized(unknowns, posterior.optimum.z).absorbed()
+    rows = len(posterior.optimum.residual)
+    assert posterior.freedom == pytest.approx(rows - absorbed - model.shape.n_m - model.shape.n_mu, abs=0.1)
+
+
+@pytest.mark.slow
+def test_the_misfit_counts_no_row_of_a_hinge_at_rest():
+    model = drawn_object(0, ["11111"])
+    links, hinges = np.array([0, 0, 1, 1, 2]), np.array([[-0.025, 0.0], [0.075, 0.0]])
+    chained = replace(model, shape=replace(model.shape, chain=Chain(links, hinges)))
+    trials = [analytic_trial(model, Slide(grasp, 0.7 * grasp, duration=4.0)) for grasp in range(3)]
+    poses = [np.tile(trial.object_pose[:, None], (1, 3, 1)) for trial in trials]
+    streams = [PoseStream(trial.time_s, pose, 1e-4, 1e-3) for trial, pose in zip(trials, poses, strict=True)]
+    filmed = [replace(trial, camera=stream) for trial, stream in zip(trials, streams, strict=True)]
+    windows = windows_of(chained, filmed, SHARP)
+    assert windows.standing.all()
+    rows = 6 * len(windows) + 1
+    assert joint(chained, filmed).freedom == rows - model.shape.n_m - model.shape.n_mu
 
 
 @pytest.mark.slow
@@ -438,6 +482,39 @@ def test_the_mode_is_that_of_the_marginal_density(error):
     exact = float(z[(((y - friction) ** 2 / variance + variance.log()).sum(1) + z[:, 0] ** 2).argmin()])
     joint, marginal = (float(at[unknowns.at["friction"]]) for at in (found.optimum.z, found.mode))
     assert abs(marginal - exact) < 0.25 * abs(joint - exact)
+
+
+@pytest.mark.slow
+def test_an_answer_of_two_frictions_has_its_own_misfit():
+    """Masses and frictions trade off; their products are well known."""
+    model = blocks(["11", "10"], [1.0, 3.0, 2.0], [0.3, 0.6], [0, 1, 0])
+    made = turns(model, noise=0.1) + accelerated(model, noise=0.1)
+    answer = ask(model, made, Bayes())
+    misfit = misfit_on("own_weight", model.shape, model.total_mass, made, found(answer))
+    assert misfit is not None
+    assert misfit.value == pytest.approx(answer.diagnostics["misfit"], rel=0.02)
+    drag = found(answer).mass * found(answer).friction[[0, 1, 0]]
+    assert_allclose(drag, model.truth.mass * model.truth.friction[[0, 1, 0]], rtol=0.005)
+
+
+@pytest.mark.slow
+def test_patterns_of_many_points_do_not_depend_on_their_order():
+    """A bar of 8 x 64 cells: its rows are as long as a step over its points."""
+    x, y = np.meshgrid(np.arange(8.0), np.arange(64.0), indexing="ij")
+    places = 1e-3 * np.stack([x, y], -1)
+    spread = []
+    for order in (places.reshape(-1, 2), places.swapaxes(0, 1).reshape(-1, 2)):
+        at, alike = torch.tensor(order), torch.zeros(len(order), dtype=torch.int64)
+        model = replace(
+            ParticleModel.of(OBJECT.shape),
+            particles=at,
+            mass_group=alike,
+            friction_group=alike,
+            fill=torch.ones(len(at)),
+        )
+        patterns = ContactPatterns.of(model, at[:, None])
+        spread.append((patterns.of_group.T @ (at - at.mean(0))).norm(dim=0))
+    assert_allclose(spread[0], spread[1], rtol=0.25)  # 64 points each, of 512
 
 
 @pytest.mark.parametrize("unknown", [1, 2])

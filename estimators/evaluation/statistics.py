@@ -17,6 +17,8 @@ SIGNIFICANT = 0.05
 """Probability by chance below which a paired difference counts."""
 NINETY = float(stats.norm.isf(0.05))
 """Standard errors within which 90 % of normal errors lie."""
+ROUNDING = 1e-9
+"""Relative difference up to which two values are equal."""
 SILENT = 3.0
 """Claimed errors beyond which an answer with status ok is silently wrong."""
 Row = Mapping[str, Any]
@@ -157,6 +159,8 @@ def significantly_best(methods: Mapping[str, Draws]) -> str | None:
 
 def _smaller(first: Sequence[float], second: Sequence[float]) -> bool:
     difference = np.subtract(second, first)
+    if np.abs(difference).max() <= ROUNDING * np.abs(second).max():
+        return False
     if np.ptp(difference) == 0:
         return bool(difference[0] > 0)
     chance = np.asarray(stats.ttest_1samp(difference, 0.0, alternative="greater"))[1]

@@ -162,7 +162,10 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
     torque, std = trials.friction_equations(at).hinge_friction() or ((), ())
-    hinges, unseen = hinge_frictions(torque, std, misfit.widening**0.5)
+    widening = misfit.widening**0.5
+    hinges, unseen = hinge_frictions(torque, std, widening)
+    known = enumerate((widening * report.friction_error).tolist())
+    frictions = {f"friction_{k}_std": error for k, error in known if np.isfinite(error)}
     return Estimate(
         at,
         "underdetermined" if open_ or loose else misfit.status,
@@ -171,6 +174,11 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
         hidden=found.H,
         identifiability=report,
         traces=found.traces,
-        diagnostics={"rank": q.shape[1], "condition": condition, "loss": loss, **misfit.diagnostics, **hinges},
+        diagnostics={
+            **{"rank": q.shape[1], "condition": condition, "loss": loss},
+            **misfit.diagnostics,
+            **frictions,
+            **hinges,
+        },
         assumes=ASSUMPTION["own_weight"],
     )

@@ -79,8 +79,9 @@ def part_ranges(
     rows = equations.rows @ unit
     size = float(np.linalg.norm(rows, axis=0).mean())
     best, left = nnls(rows / size, equations.values)
-    scale = float(best.sum())  # masses as parts of the whole
-    spread = max(equations.misfit, left**2 / max(equations.freedom, 1), 1.0)
+    scale, shown = float(best.sum()), equations.directions  # masses as parts of the whole
+    off = shown.T @ (equations.values - rows @ best / size)
+    spread = max(equations.misfit, float(off @ off) / shown.shape[1], 1.0)
     radius = float(np.sqrt(left**2 + spread * chdtri(1, 1 - level)))
     count = len(places)
     matrix = np.vstack([-np.eye(count), np.zeros((1, count)), -rows / size * scale / radius])

@@ -131,7 +131,7 @@ class SupportAware:
         as_rigid, on_own = test.log10_bayes_factor < -DECISIVE, own.estimate(shape)
         on_own = replace(on_own, diagnostics=on_own.diagnostics | test.diagnostics)
         holds = test.kind == "own_weight" and on_own.status != "unexplained"
-        on_rigid = on_own if holds else self._rigid(shape, weight, rigid, on_own.diagnostics, seed)
+        on_rigid = on_own if holds else self._rigid(shape, weight, rigid, test.diagnostics, seed)
         answer = on_rigid if as_rigid else on_own
         if test.shared is not None:
             answer = test.shared.estimate(shape)
@@ -183,7 +183,7 @@ class SupportAware:
             f"{known} hold the masses to ({100 * self.confidence:g} %): {listed(ranges, MOST_LISTED)}" if holds else "",
             covariance=covariance,
             hidden=hidden,
-            diagnostics=numbers | rigid.explained.diagnostics | ends | {"polytope_miss": polytope.inside[1]},
+            diagnostics=rigid.diagnostics | numbers | ends | {"polytope_miss": polytope.inside[1]},
         )
 
     def _with_materials(self, shape: ObjectShape, fits: tuple[Posterior, ...], answer: Estimate) -> Estimate:

@@ -302,6 +302,8 @@ def test_the_best_is_marked_only_where_it_is_sure():
     assert significantly_best({"a": draws(0, 0.1), "b": draws(1, 0.1), "c": draws(3, 0.1)}) == "a"
     assert significantly_best({"a": draws(0, 3.0), "b": draws(0.1, 3.0)}) is None
     assert significantly_best({"a": draws(0, 0.1)}) is None
+    least = dict(enumerate((0.1 * rng.random(6)).tolist()))
+    assert significantly_best({"a": least, "b": {seed: value + 4e-17 for seed, value in least.items()}}) is None
     assert significantly_best({"a": {0: 1.0}, "b": {0: 2.0}}) is None, "one draw tells nothing"
     assert significantly_best({"a": {0: 1.0, 1: 1.0}, "b": {0: 1.0, 1: 1.0}}) is None
     assert significantly_best({"a": {0: 1.0, 1: 1.5}, "b": {0: np.nan, 1: np.nan}}) is None

@@ -154,6 +154,7 @@ def test_a_rigid_body_is_answered_by_masses_that_agree_with_what_is_known(seed):
     assert_allclose(found(answer).friction, obj.truth.friction, rtol=0.01)
     assert (np.abs(found(answer).mass - obj.truth.mass) < 3.5 * claimed(answer)).all()
     assert holds(answer, obj.group_mass, 1e-6)
+    assert answer.friction_error() == pytest.approx(rigid.of("friction")[1].numpy(), rel=1e-6)
 
 
 @pytest.mark.slow

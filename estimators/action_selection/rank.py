@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -138,6 +139,8 @@ def allowed_grasps(shape: ObjectShape, grasps: Sequence[int] | None) -> tuple[in
     return tuple(map(int, grasps))
 
 
+HELD_OUT_SIDES = (1, -1), (-1, 1), (-1, -1)
+"""Directions from a grasp to the points about which held-out turns go."""
 FEWEST_GRASPS = 3
 """Least number of grasps for trials where one grasp is held out: k >= 3 of Algorithm 1."""
 
@@ -162,6 +165,8 @@ def held_out_grasp(shape: ObjectShape, grasps: Sequence[int], seed: int) -> int 
 def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, duration: float, seed: int) -> list[Rotate]:
     """Turns one way about points that `RankDriven` never uses, for predictions on trials that no method was given.
 
+    Those by one grasp differ, up to six of them.
+
     Args:
         shape: the object.
         grasps: grasps to turn by.
@@ -169,14 +174,17 @@ def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, durati
         duration: time of each [s].
         seed: seed of the draw.
     """
-    turns = []
+    turns, made = [], Counter[int]()
     for index in range(count):
         grasp = _drawn(grasps, index, [seed, 3])
-        rng = np.random.default_rng([seed, 4, index])
-        sides = ((1, -1), (-1, 1), (-1, -1))[rng.integers(3)]
-        x, y = shape.grasps[grasp].position + shape.cell / 2 * np.array(sides)
-        speed = Rotate(grasp).speed * rng.choice((-1, 1))
-        turns.append(Rotate(grasp, speed=float(speed), duration=duration, pivot=(float(x), float(y))))
+        order = np.random.default_rng([seed, 4, grasp]).permutation(2 * len(HELD_OUT_SIDES))
+        side, backward = divmod(int(order[made[grasp] % len(order)]), 2)
+        made[grasp] += 1
+        place = shape.grasps[grasp].position
+        away = shape.cell if between_particles(shape, place) is None else shape.cell / 2
+        x, y = place + away * np.array(HELD_OUT_SIDES[side])
+        speed = -Rotate(grasp).speed if backward else Rotate(grasp).speed
+        turns.append(Rotate(grasp, speed=speed, duration=duration, pivot=(float(x), float(y))))
     return turns
 
 

@@ -65,6 +65,8 @@ class Experiment:
     """Reasons of refused actions, without numbers, for the policy, which then chooses another."""
     weighed: list[float] = field(default_factory=list)
     """Reading of the scale [kg] for the policy; empty before the weighing."""
+    made: list[Action] = field(default_factory=list)
+    """Actions of the trials made so far, those for prediction too."""
     keys: list[str] = field(default_factory=list)
     """Keys of the trials made so far, the weighing first."""
     held_out_keys: list[str] = field(default_factory=list)

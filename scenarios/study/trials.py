@@ -48,8 +48,8 @@ class TrialRun:
     """Experiments that have failed."""
     expected: int = field(init=False)
     """Number of trials where nothing fails and nothing is shared."""
-    known: deque[tuple[Experiment, Action]] = field(default_factory=deque)
-    """Known actions of the started experiments."""
+    known: deque[tuple[Experiment, Action, int]] = field(default_factory=deque)
+    """Known actions of the started experiments, each with the number of times that its experiment makes it before."""
     asking: dict[str, list[tuple[Experiment, Action]]] = field(default_factory=dict)
     """Experiments that wait for each running trial, and its action, by the key of the trial."""
     refusals: dict[str, str | Failure] = field(default_factory=dict)
@@ -61,9 +61,9 @@ class TrialRun:
     def start(self) -> bool:
         """Start the next known trial or the next experiment; False where there is neither."""
         if self.known:
-            experiment, action = self.known.popleft()
+            experiment, action, repeat = self.known.popleft()
             if not experiment.failure:
-                self._start_trial(experiment, action)
+                self._start_trial(experiment, action, repeat)
         elif self.waiting:
             self._begin(self.waiting.popleft())
         else:
@@ -75,12 +75,16 @@ class TrialRun:
             self.done += len(experiment.keys) + len(experiment.held_out_keys)
             self._end(experiment)
         else:
-            self.known.extend((experiment, action) for action in experiment.known_actions())
+            known = experiment.known_actions()
+            self.known.extend((experiment, action, known[:place].count(action)) for place, action in enumerate(known))
             self._advance(experiment, Weigh())
 
-    def _start_trial(self, experiment: Experiment, action: Action) -> str:
-        """Start a trial unless it is stored, refused or running; return its key."""
-        trial = Trial(experiment.model, action, experiment.support, world=experiment.world)
+    def _start_trial(self, experiment: Experiment, action: Action, repeat: int) -> str:
+        """Start a trial unless it is stored, refused or running; return its key.
+
+        `repeat` is the number of times that its experiment makes the action before: a world errs anew each time.
+        """
+        trial = Trial(experiment.model, action, experiment.support, seed=repeat, world=experiment.world)
         settings = experiment.scenario.simulation.build()
         key = key_of(trial_request(trial, settings))
         if not (key in self.asking or key in self.refusals or self.store.has_trial(key)):
@@ -103,7 +107,7 @@ class TrialRun:
     def _advance(self, experiment: Experiment, action: Action | None) -> None:
         """Continue an experiment at an action: take the stored trials, and wait for the first that is missing."""
         while action is not None:
-            key = self._start_trial(experiment, action)
+            key = self._start_trial(experiment, action, experiment.made.count(action))
             if key in self.asking:
                 self.asking[key].append((experiment, action))
                 return
@@ -155,6 +159,7 @@ def _taken(experiment: Experiment, action: Action, key: str, store: Store, marks
     if not store.has_sound_trial(key, marks):
         return False
     trajectory = store.trajectory(key)
+    experiment.made.append(action)
     if experiment.finished:
         experiment.held_out_keys.append(key)
         return True

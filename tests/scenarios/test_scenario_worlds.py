@@ -1,9 +1,11 @@
 """Worlds in a scenario: every draw has its own trials, content keys differ by world, and draws stay hidden."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scenarios.config import Scenario, WorldTable, load_scenario
@@ -35,6 +37,49 @@ def test_every_draw_of_a_world_has_its_own_trials(tmp_path: Path):
         assert record.setup == world("lab").stated
     again = run_scenario(short(preset="lab"), tmp_path, 0, quiet, executor="inline")
     assert again["key"].tolist() == rows["key"].tolist()
+
+
+REPEATED = """
+from testbed.actions.rotate import Rotate
+
+class Repeated:
+    def next(self, shape, trajectories):
+        return Rotate(0, duration=1.6) if len(trajectories) < 2 else None
+"""
+
+
+@pytest.mark.slow
+def test_a_repeated_action_is_a_trial_of_its_own_where_a_world_errs_anew(tmp_path: Path, monkeypatch):
+    tmp_path.joinpath("repeating.py").write_text(REPEATED, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    twice = POLICY.model_copy(update={"kind": "repeating:Repeated"})
+    keys = {}
+    for preset in ("lab", "ideal"):
+        asked = short(preset=preset).model_copy(update={"policy": twice, "seeds": 1})
+        rows = run_scenario(asked, tmp_path / preset, 0, quiet, executor="inline")
+        _, *keys[preset] = rows["trial_keys"][0]
+    assert len(set(keys["lab"])) == 2 and len(set(keys["ideal"])) == 1
+    one, other = (Store(tmp_path / "lab").trajectory(key).object_pose[0] for key in keys["lab"])
+    assert np.abs(one - other).max() > 1e-4
+
+
+@pytest.mark.slow
+def test_a_run_that_goes_on_makes_the_repeats_that_it_needs_and_no_others(tmp_path: Path):
+    """Known turns that repeat one are started at once, and again by a run that goes on, each with the same key."""
+    policy = Policy(duration=1.6, pivots=12, accelerated=0, held_out=1)
+    asked = short(preset="lab").model_copy(update={"policy": policy, "seeds": 1})
+    rows = run_scenario(asked, tmp_path, 0, quiet, executor="inline")
+    keys = [*rows["trial_keys"][0], *rows["held_out_keys"][0]]
+    actions = [Store(tmp_path).trajectory(key).action for key in keys]
+    made = {path.name for path in (tmp_path / "trials").iterdir()}
+    assert len(set(actions)) < len(actions) == len(made) and made == set(keys)
+    for folder in ("notes", "estimates"):
+        shutil.rmtree(tmp_path / folder)
+    shutil.rmtree(tmp_path / "trials" / keys[-2])
+    again = run_scenario(asked, tmp_path, 0, quiet, executor="inline")
+    assert again["key"].tolist() == rows["key"].tolist()
+    assert {path.name for path in (tmp_path / "trials").iterdir()} == made
 
 
 def test_sensors_share_the_trials_of_a_draw_and_a_perfect_one_has_draws_too():

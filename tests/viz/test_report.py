@@ -167,6 +167,15 @@ def test_points_are_named_by_what_differs_among_them():
     assert list(points_of(rows)) == ["low, k 1", "high, k 1", "low, k 2.5", "high, k 2.5"]
 
 
+def test_points_that_differ_in_the_seventh_digit_are_not_one():
+    rows = [
+        row("a", 0, 0.1) | {"axis.seed": seed, "axis.k": k} for seed in (1234567, 1234568) for k in (1e6, 1e6 + 1.5)
+    ]
+    assert list(points_of(rows)) == [
+        f"seed {seed}, k {k}" for seed in (1234567, 1234568) for k in ("1000000", "1000001.5")
+    ]
+
+
 def test_the_middle_object_is_chosen_among_those_with_a_map_and_an_answer():
     rows = [row("a", 0, nad, name) for name, nad in (("x", 0.1), ("y", 0.9), ("z", 0.5), ("w", None), ("v", 0.3))]
     assert middle_object(rows, "a", ["x", "y", "z", "w"]) == "z"

@@ -368,7 +368,7 @@ def quantile_table(results: Sequence[Row], metric: Metric) -> Table:
 
 
 def _setting(value: object) -> str:
-    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
 def short(value: float) -> str:

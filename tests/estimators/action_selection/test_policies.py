@@ -15,7 +15,14 @@ from estimators.action_selection.greedy import PlannedPolicy
 from estimators.action_selection.online import Decision, OnlinePolicy
 from estimators.action_selection.plan import Goal
 from estimators.action_selection.random import TRIES, RandomDrags, RandomPushes, random_pushes
-from estimators.action_selection.rank import RANK_DRIVEN, RankDriven, between_particles, held_out_grasp, predicted_rank
+from estimators.action_selection.rank import (
+    RANK_DRIVEN,
+    RankDriven,
+    between_particles,
+    held_out_grasp,
+    held_out_turns,
+    predicted_rank,
+)
 from estimators.action_selection.stop_and_go import StopAndGo
 from estimators.testing.analytic_world import analytic_trial, drawn_object, record
 from scenarios.policies import Policy
@@ -157,6 +164,19 @@ def test_a_grasp_is_held_out_only_where_the_others_show_as_much(name):
         left = [Rotate(grasp) for grasp in grasps if grasp != spared]
         assert predicted_rank(shape, left) == predicted_rank(shape, [Rotate(grasp) for grasp in grasps])
     assert held_out_grasp(shape, grasps[:3], 0) is None, "three are left for the trials"
+
+
+@pytest.mark.parametrize("name", ["I1", "L2", "wrench"])
+@pytest.mark.parametrize("particles", [2, 3])
+def test_held_out_turns_differ_and_go_about_points_between_particles(name, particles):
+    shape = load_object(name, particles).shape
+    for seed in range(5):
+        turns = held_out_turns(shape, [1], 6, 18.0, seed)
+        assert len({(turn.pivot, turn.speed) for turn in turns}) == 6
+        assert held_out_turns(shape, [1], 2, 18.0, seed) == turns[:2]
+        if name != "wrench":
+            pivots = np.array([turn.pivot for turn in turns])
+            assert np.linalg.norm(shape.particles - pivots[:, None], axis=2).min() > shape.cell / 2
 
 
 def test_it_lifts_by_the_innermost_grasps_and_goes_on_to_others():

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.errors import InfeasibleTrialError
-from testbed.frames import origin_velocity, pose_from_point, rotation_matrix
+from testbed.frames import origin_velocity, pose_from_point, rotation_matrix, transform_point
 from testbed.objects.model import GRAVITY
 from testbed.robot.camera.evidence import check_place, with_evidence
 from testbed.robot.camera.interface import ObjectCamera, SeenPose, seen_stream
@@ -196,16 +196,17 @@ class RealRunner:
         return lifted(judged) if not plan.trial.action.moves and judged.ok else judged
 
     def _slip(self, plan: RobotPlan, record: Record) -> tuple[float, float] | None:
-        """Slip of the object in the grip, tracker against hand [m, rad]; None without a tracker."""
+        """Slip of the object in the grip, at the grasp, tracker against hand [m, rad]; None without a tracker."""
         if self._tracker is None or plan.grasp is None:
             return None
         held = np.flatnonzero(record.during(Phase.RAMP, Phase.STEADY))[-1]
         expected = object_poses(plan, record, self._settings)[held]
         try:
-            slip = np.array(self._tracker.read()) - expected
+            seen = np.array(self._tracker.read())
         except RobotError:  # no pose now; the record is valid nevertheless
             return None
-        return float(np.hypot(slip[0], slip[1])), abs(math.remainder(slip[2], math.tau))
+        held_at, seen_at = (transform_point(pose, plan.grasp.position) for pose in (expected, seen))
+        return float(np.hypot(*(seen_at - held_at))), abs(math.remainder(seen[2] - expected[2], math.tau))
 
 
 def trajectory_of(

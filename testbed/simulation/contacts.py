@@ -74,22 +74,24 @@ def lay_level(
 def _at_rest(
     obj: ObjectModel, support: Support, contact: ContactSettings, feet: Feet, joined: ObjectShape
 ) -> tuple[Float[np.ndarray, "G"], Float[np.ndarray, "F"]]:
-    """Depths by which each group sinks at the frame's origin, and each foot [m]; negative where a foot would pull.
+    """Depths by which each group sinks at the middle of all feet, and each foot [m]; negative where a foot would pull.
 
     Arguments as for `lay_level`; a rigid body is one group.
     """
     group = np.zeros(len(feet.particle), dtype=int) if support.is_rigid else obj.shape.mass_group[feet.particle]
     groups = 1 if support.is_rigid else obj.shape.n_m
-    design = np.column_stack([np.eye(groups)[group], feet.position])
+    middle = feet.position.mean(axis=0)
+    length = float(np.abs(feet.position - middle).max()) or 1.0  # tilts in the unit of depths
+    design = np.column_stack([np.eye(groups)[group], (feet.position - middle) / length])
     matrix = design.T @ (_stiffness(obj, feet, contact)[:, None] * design)
     if not support.is_rigid:
         for a, b in joined.neighbors:
             matrix[[a, b], [a, b]] += support.stiffness
             matrix[[a, b], [b, a]] -= support.stiffness
     weight = [obj.total_mass * GRAVITY] if support.is_rigid else obj.group_mass * GRAVITY
-    loads = np.append(weight, obj.total_mass * GRAVITY * obj.center_of_mass)
+    loads = np.append(weight, obj.total_mass * GRAVITY * (obj.center_of_mass - middle) / length)
     # A straight row of feet does not determine the tilt across it: in the least-norm solution it is 0
-    solution = np.linalg.lstsq(matrix, loads, rcond=1e-9)[0]
+    solution = np.linalg.lstsq(matrix, loads, rcond=1e-12)[0]
     return solution[:groups], design @ solution
 
 

@@ -65,7 +65,7 @@ def rounded(wrench: Float[np.ndarray, "T 6"], draw: WorldDraw) -> Float[np.ndarr
 
 def _filtered(wrench: np.ndarray, time: np.ndarray, constant: float) -> np.ndarray:
     """Wrench after a first-order low-pass filter, in steady state at the first sample."""
-    if not constant:
+    if not constant or len(time) < 2:
         return wrench
     keep = np.exp(-float(np.median(np.diff(time))) / constant)
     return lfilter([1 - keep], [1.0, -keep], wrench, axis=0, zi=keep * wrench[:1])[0]

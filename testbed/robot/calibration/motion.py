@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from testbed.actions.base import Action
+from testbed.errors import InvalidValueError
 from testbed.frames import cross_2d, perpendicular, rotation_2d
 from testbed.objects.model import ObjectShape
 from testbed.robot.calibration.trial import Finding, check_trial, judged
-from testbed.sensing.windows import steady_windows
+from testbed.sensing.windows import SteadyWindow, steady_windows
 from testbed.trajectory import Trajectory
 from testbed.worlds.presets import UNSTATED
 from testbed.worlds.setup_errors import EXACT_SETUP, PARAMETERS, SetupErrors
@@ -46,8 +47,9 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
         trajectories: trials of it; failed ones, and actions other than turns and slides, are ignored.
     """
     steady = [t for t in trajectories if t.ok and t.action.turns and not t.action.accelerated]
-    turned = [(t.action, windows) for t in steady if (windows := steady_windows(t))]
-    slid = [_heading(shape, t) for t in trajectories if t.ok and t.action.dragged_steadily and not t.action.turns]
+    turned = [(t.action, windows) for t in steady if (windows := _windows(t))]
+    slides = [t for t in trajectories if t.ok and t.action.dragged_steadily and not t.action.turns]
+    slid = [_heading(shape, t.action, windows[0]) for t in slides if (windows := _windows(t))]
     if not turned:
         return slid
     named = np.array([_named(shape, action, action.hand(shape)) for action, _ in turned])
@@ -86,11 +88,19 @@ def check_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     return [*findings, *(slid if all(f.ok for f in findings) else [])]  # a yaw that is off turns slides too
 
 
-def _heading(shape: ObjectShape, trial: Trajectory) -> Finding:
+def _windows(trial: Trajectory) -> list[SteadyWindow]:
+    """Windows of a trial; none of one too short to reduce, which no estimate uses either."""
+    try:
+        return steady_windows(trial)
+    except InvalidValueError:
+        return []
+
+
+def _heading(shape: ObjectShape, action: Action, window: SteadyWindow) -> Finding:
     """Finding on the direction of a slide, in the object's frame."""
-    along, seen = trial.action.heading, steady_windows(trial)[0].twist[:2]
+    along, seen = action.heading, window.twist[:2]
     off = float(np.arctan2(cross_2d(along, seen), along @ seen))
-    text = f"{trial.action.describe(shape)}: it moves {np.degrees(off):+.0f} deg off that direction"
+    text = f"{action.describe(shape)}: it moves {np.degrees(off):+.0f} deg off that direction"
     return judged("heading", abs(off) <= HEADING_ALLOWED, off, text, "correct its direction, rad in the object's frame")
 
 
@@ -101,7 +111,7 @@ def check_wrenches(shape: ObjectShape, trajectories: Iterable[Trajectory]) -> li
     sign of the power is checked.
     """
     gripped = [t for t in trajectories if t.action.dragged_steadily]
-    found = [finding for t in gripped for finding in check_trial(None, None, steady_windows(t), setup=_stated(t.setup))]
+    found = [finding for t in gripped for finding in check_trial(None, None, _windows(t), setup=_stated(t.setup))]
     return [finding for finding in found if shape.chain is None or finding.what == "friction"]
 
 
@@ -111,7 +121,7 @@ def wrong_motion(shape: ObjectShape, trajectories: Sequence[Trajectory]) -> list
     All failed checks of `check_motion`, and one of each kind of `check_trial`, without those of a drag below the noise.
     """
     found = check_wrenches(shape, (t for t in trajectories if t.ok))
-    sure = {f.what: f for f in reversed(found) if not f.ok and (f.what != "friction" or f.value < 0)}
+    sure = {f.what: f for f in reversed(found) if not f.ok and f.decided}
     return [f.text for f in [*check_motion(shape, trajectories), *sure.values()] if not f.ok]
 
 

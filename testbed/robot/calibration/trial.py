@@ -54,6 +54,8 @@ class Finding:
     """Measured value; its unit is in `text`."""
     text: str
     """Result in a sentence, with a remedy if the check failed."""
+    decided: bool = True
+    """False if it failed since the errors are larger than what is checked."""
 
 
 def judged(what: str, ok: bool | np.bool_, value: float, text: str, remedy: str) -> Finding:
@@ -136,28 +138,34 @@ def _of_lever(wrench: np.ndarray, covariance: np.ndarray, center: np.ndarray) ->
 def _of_work(window: SteadyWindow) -> Finding:
     """Finding on the power of the gripper on the object: positive, since friction dissipates it."""
     power = float(window.wrench[PLANAR] @ window.twist)
-    error = float(np.sqrt(window.twist @ window.covariance[np.ix_(PLANAR, PLANAR)] @ window.twist))
+    error = float(np.sqrt(window.twist @ _error_of_mean(window)[np.ix_(PLANAR, PLANAR)] @ window.twist))
     kind = "slide" if abs(window.twist[2]) < SLIDING else f"turn at {np.degrees(window.twist[2]):+.0f} deg/s"
     text = f"{kind}: the gripper puts {power:.4f} +- {error:.4f} W into it"
-    wrong = power < -SIGNIFICANT * error
-    why = "friction would have to push; sign or rotation is wrong" if wrong else "too little to decide"
-    return judged("friction", power > SIGNIFICANT * error, power, text, why)
+    if abs(power) <= SIGNIFICANT * error:
+        return Finding("friction", False, power, f"{text}: too little to decide", decided=False)
+    return judged("friction", power > 0, power, text, "friction would have to push; sign or rotation is wrong")
 
 
 def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     reversing, constant = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
     ratio = float(abs(constant)) / max(float(abs(reversing)), 1e-9)
-    tare_error = float(np.sqrt(there.bias_covariance[5, 5]))  # as the sensor states it
+    lasting = back.bias_covariance + abs(back.since_tare.mean()) * back.drift_covariance  # as the sensor states it
+    tare_error = float(np.sqrt(lasting[5, 5]))
     ok = abs(constant) <= BIAS_ALLOWED * abs(reversing) + SIGNIFICANT * math.hypot(error, tare_error)
     text = f"turned there and back, {reversing:.4f} N m flips and {constant:.4f} +- {error:.4f} N m stays"
     return judged("there and back", ok, ratio, text, "a bias that the tare left, or a cable that pulls")
 
 
+def _error_of_mean(window: SteadyWindow) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a window's mean wrench by noise, bias and drift."""
+    return window.covariance + window.bias_covariance + abs(window.since_tare.mean()) * window.drift_covariance
+
+
 def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:
     force, velocity = window.wrench[:2], window.twist[:2]
     angle = float(np.arctan2(cross_2d(velocity, force), velocity @ force))
-    spread = window.covariance + window.bias_covariance + abs(window.since_tare.mean()) * window.drift_covariance
+    spread = _error_of_mean(window)
     error = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]) / max(np.linalg.norm(force), 1e-9))
     # friction that differs by a along two axes of the table turns its force by up to 2 a
     lean = setup.table_tilt / LEAST_FRICTION

@@ -78,11 +78,11 @@ def check_frame(frame: SeenFrame, parts: int) -> None:
     """Check the number of poses in a frame, and their size.
 
     Raises:
-        CameraLostError: wrong number of parts, or a pose beyond `FARTHEST`.
+        CameraLostError: wrong number of parts, or a pose beyond `FARTHEST` or known in part.
     """
     if len(frame.poses) != parts:
         raise CameraLostError(f"camera: it sends poses of {len(frame.poses)} parts; the object has {parts}")
-    for pose in frame.poses[~np.isnan(frame.poses).any(axis=1)]:
+    for pose in frame.poses[~np.isnan(frame.poses).all(axis=1)]:
         if not (np.abs(pose) <= FARTHEST).all():
             raise CameraLostError(
                 f"camera: got a pose of {np.array2string(pose, precision=3)}; allowed: at most {FARTHEST[0]:g} m and "

@@ -156,6 +156,19 @@ def test_a_bias_turns_the_force_of_a_light_object_and_nothing_is_wrong():
     assert "direction" in wrong(check_wrenches(light.shape, [biased]))
     stated = replace(biased, sensor_bias_std=np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002]))
     assert not wrong(check_wrenches(light.shape, [stated]))
+    turn = analytic_trial(light, Rotate(0, duration=2.5))
+    tared = replace(
+        turn, wrench_on_object_world=turn.wrench_on_object_world - np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01])
+    )
+    assert [f.what for f in check_wrenches(light.shape, [tared]) if f.value < 0] == ["friction"]
+    assert wrong_motion(light.shape, [tared])
+    assert not wrong_motion(light.shape, [replace(tared, sensor_bias_std=np.repeat([0.05, 0.005], 3))])
+
+
+def test_a_trial_too_short_for_an_estimate_has_no_findings_and_leaves_those_of_others():
+    brief = [analytic_trial(OBJECT, action) for action in (Rotate(0, duration=1.1), Slide(0, 0.3, duration=1.1))]
+    assert wrong_motion(OBJECT.shape, [*turns(), *brief]) == []
+    assert set(wrong_in([*(yawed(trial, 0.3) for trial in turns()), *brief])) == {"closing direction"}
 
 
 def test_a_slide_in_another_direction_is_named():

@@ -3,12 +3,14 @@
 import math
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from testbed import Accelerate, InfeasibleTrialError, Phase, Rotate, SimulationRunner, Slide, Tool, Weigh
+from testbed.frames import pose_from_point
 from testbed.robot.config import RobotSettings
 from testbed.robot.interfaces import RobotError
 from testbed.robot.kinova.gripper import data_sheet
@@ -93,6 +95,29 @@ def test_the_raw_record_is_kept_with_its_bias():
     assert_allclose(usual.sensor_wrench[tare].mean(axis=0)[:3], BIAS[:3] + held, atol=0.05)
     assert_allclose(usual.wrench_on_object_world[tare].mean(axis=0), 0, atol=0.05)
     assert usual.figures["slip_m"] < 1e-3
+
+
+class Seen:
+    """Tracker that sees one pose."""
+
+    def __init__(self, pose):
+        self._pose = pose
+
+    def read(self):
+        return self._pose
+
+
+def test_slip_is_that_of_the_grasp_wherever_the_object_has_its_origin(monkeypatch):
+    trial = Trial(OBJECT, ACTION)
+    grasp, held, turn, slip = trial.grasp.position, np.array([0.45, 0.0]), 0.02, np.array([0.003, -0.002])
+    monkeypatch.setattr(
+        "testbed.robot.runner.object_poses", lambda *_: pose_from_point(held, grasp, np.array(0.3))[None]
+    )
+    seen = pose_from_point(held + slip, grasp, np.array(0.3 + turn))
+    _, runner = robot_for(trial, tracker=Seen(tuple(seen)))
+    plan = plan_trial(trial, starting_pose(trial), runner._settings)
+    record = SimpleNamespace(during=lambda *_: np.array([True]))
+    assert runner._slip(plan, record) == pytest.approx((np.hypot(*slip), turn))
 
 
 @pytest.mark.slow

@@ -172,6 +172,14 @@ def test_a_trials_frames_lose_their_mean_delay_and_their_jumps():
     assert (stream.position_std, stream.delay_std) == (0.001, CAMERAS["30hz"].delay_std)
 
 
+def test_a_pose_that_is_known_in_part_ends_the_trial_before_its_record():
+    watch = CameraWatch(CAMERAS["30hz"], 1)
+    unseen, half = (SeenFrame(0.1, np.array([[x, 0.0, math.nan]])) for x in (math.nan, 0.4))
+    assert list(watch.kept([replace(unseen, poses=np.full((1, 3), math.nan))], 0.1))
+    with pytest.raises(CameraLostError, match="got a pose of"):
+        list(watch.kept([half], 0.1))
+
+
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
 def test_no_frame_of_the_fastest_push_is_a_jump(part):
     """A block of 50 mm, pushed near the end of a face, turns faster than any other object."""

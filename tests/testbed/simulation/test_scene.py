@@ -15,6 +15,7 @@ from testbed.objects.model import GRAVITY, MassDistribution, ObjectModel, Object
 from testbed.simulation.contacts import resting_loads
 from testbed.simulation.motion import Motion, arm_model, gripper_tool, joint_path, plan_motion
 from testbed.simulation.scene import HOME, Scene, build_scene
+from tests.helpers.blocks import blocks
 
 SETTINGS = SimulationSettings()
 HUNG_BOX = """
@@ -116,6 +117,13 @@ def test_an_object_rests_as_on_an_even_foundation(name: str, support: Support):
     if name == "L2" and support.is_rigid:
         assert_allclose(loads.sum(), obj.total_mass * GRAVITY, rtol=1e-6)
         assert_allclose(loads @ obj.shape.particles[scene.feet.particle] / loads.sum(), obj.center_of_mass, atol=2e-4)
+
+
+def test_stiff_springs_make_a_small_light_object_rest_as_one_rigid_body():
+    obj = blocks(["11", "10"], [0.005, 0.003, 0.002], 0.3, size=0.01)
+    rigid, stiff = (resting_loads(obj, support, SETTINGS.contact) for support in (RIGID, Support(5e7)))
+    assert_allclose(stiff @ obj.shape.particles / stiff.sum(), obj.center_of_mass, atol=1e-9)
+    assert_allclose(stiff, rigid, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["hammer", "wrench"])

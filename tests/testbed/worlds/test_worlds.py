@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from estimators.testing.analytic_world import record as record_of
 from estimators.testing.truth import truth_within_reach
 from testbed import Action, Rotate, SimulationRunner, Slide, Weigh, WorldDraw, draw_sensing, load_object, preset
 from testbed.errors import InvalidValueError
@@ -59,6 +60,15 @@ def test_the_ideal_world_is_the_simulation_as_it_was():
     assert plain.setup == ideal.setup
     weighed = [RUNNER.run(Trial(L2, Weigh(), sensing="ft300s", world=draw)) for draw in (None, alone())]
     assert np.array_equal(weighed[0].wrench_on_object_world, weighed[1].wrench_on_object_world)
+
+
+def test_a_record_of_one_sample_has_a_labs_errors():
+    drawn = WorldDraw.of(world("lab"), L2, 0, "s")
+    short = record_of(
+        1, tare=1, status="fault", reason="it diverged", provenance={"runner": "simulation"} | drawn.provenance
+    )
+    found = draw_sensing(short, preset("ft300s"), 1)
+    assert found.status == "fault" and np.isfinite(found.sensor_wrench).all()
 
 
 def test_presets_are_ordered_and_state_what_a_lab_states():

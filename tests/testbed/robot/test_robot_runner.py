@@ -4,6 +4,7 @@ import math
 import signal
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,7 +117,7 @@ def test_slip_is_that_of_the_grasp_wherever_the_object_has_its_origin(monkeypatc
     seen = pose_from_point(held + slip, grasp, np.array(0.3 + turn))
     _, runner = robot_for(trial, tracker=Seen(tuple(seen)))
     plan = plan_trial(trial, starting_pose(trial), runner._settings)
-    record = SimpleNamespace(during=lambda *_: np.array([True]))
+    record: Any = SimpleNamespace(during=lambda *_: np.array([True]))
     assert runner._slip(plan, record) == pytest.approx((np.hypot(*slip), turn))
 
 

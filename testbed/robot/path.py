@@ -164,7 +164,8 @@ class RobotPlan:
             tilts += settings.null_travel[1] * (tilts > 0)  # the settled grip may be tilted
             for violation in path_violations(settings.limits, positions, twists, tilts):
                 raise InfeasibleTrialError(
-                    f"limit: {name}: {violation}; choose another place, or a shorter, slower or less tilted action"
+                    f"limit: {name}: {violation}; choose another place, a shorter, slower or less tilted action, "
+                    "or other [limits] of the robot"
                 )
 
 

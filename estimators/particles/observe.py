@@ -65,7 +65,8 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
     if not windows:
         return None
     wrench = np.array([w.wrench for w in windows])
-    noise, bias = _pooled(windows, np.array(trial), np.array(accelerated))
+    stated = np.array([trajectories[index].sensor_bias_std for index in trial])
+    noise, bias = _pooled(windows, stated, np.array(trial), np.array(accelerated))
     to_load = np.array([load_map(w.tcp_height) for w in windows])
     drift = np.array([w.drift_covariance for w in windows])
     off = bias + np.array([w.since_tare.mean() for w in windows])[:, None, None] * drift
@@ -111,16 +112,21 @@ def _table_windows(shape: ObjectShape, trajectory: Trajectory) -> list[SteadyWin
     return (push_windows if trajectory.action.pushes else steady_windows)(trajectory)
 
 
-def _pooled(windows: list[SteadyWindow], trial: np.ndarray, accelerated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the means by noise, and by the tare's bias, (K, 6, 6).
+def _pooled(
+    windows: list[SteadyWindow], stated: np.ndarray, trial: np.ndarray, accelerated: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the means by noise, and of the bias that the tare leaves, (K, 6, 6).
 
     Accelerated windows are short, and an accelerated arm swings: their noise density is that of the windows of constant
-    speed, where there are any. The bias is averaged over the trials.
+    speed, where there are any. The tares' own noise is averaged over the trials; `stated` is the standard deviation of
+    each window's bias in the sensor's axes, (K, 6).
     """
     length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
     density = np.array([w.covariance for w in windows]) * length
     quiet = accelerated if accelerated.all() else ~accelerated
     pooled = np.where(accelerated[:, None, None], density[quiet].mean(axis=0), density)
-    noise, bias = pooled / length, np.array([w.bias_covariance for w in windows])
+    from_sensor = np.array([w.from_sensor for w in windows])
+    bias = np.einsum("kij,kj,klj->kil", from_sensor, stated**2, from_sensor)
+    own = np.array([w.bias_covariance for w in windows]) - bias
     first = np.unique(trial, return_index=True)[1]
-    return noise, np.broadcast_to(bias[first].mean(axis=0), bias.shape)
+    return pooled / length, bias + own[first].mean(axis=0)

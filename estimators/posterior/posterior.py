@@ -21,6 +21,7 @@ from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
 from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Rows, Whitened, joined, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
+from estimators.support_models.polytope import MassPolytope
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
@@ -443,22 +444,32 @@ class Posterior:
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
 
-        Log-normal with the means and covariance found, widened by the misfit, then scaled to a draw of M: where masses
-        are hardly known, logarithms alone would lose the weighing. Several frictions are scaled too, which keeps each
-        drag; a single friction is known by M itself.
+        The trials show products of masses and frictions: those of each group are normal, cut at 0, and the frictions
+        log-normal, with the values and covariance found, widened by the misfit. Masses are then scaled to a draw of M,
+        and frictions inversely, which keeps the products.
         """
-        own, rng = self.of_object, np.random.default_rng(seed)
-        covariance = (self.covariance[own][:, own] * self.explained.widening).numpy()
-        found = [self.unknowns.values(self.mode)[name].numpy() for name in OBJECT]
-        mean, std = np.concatenate(found), np.sqrt(covariance.diagonal())
-        in_logarithm = np.sqrt(np.log1p((std / np.maximum(mean, SMALLEST)) ** 2))
-        root = np.linalg.cholesky(covariance / np.outer(std, std))
-        drawn = np.exp(in_logarithm * (rng.standard_normal((count, len(mean))) @ root.T) - in_logarithm**2 / 2)
-        mass, friction = np.split(mean * drawn, [shape.n_m], axis=1)
-        mass, per_group = mass * shape.particles_per_group, shape.particles_per_group
-        whole, error = float(found[0] @ per_group), per_group @ covariance[: shape.n_m, : shape.n_m] @ per_group
-        scale = rng.normal(whole, np.sqrt(error), (count, 1)) / mass.sum(1, keepdims=True)
-        return mass * scale, friction / scale if shape.n_mu > 1 else friction
+        own, rng, groups = self.of_object, np.random.default_rng(seed), shape.n_m
+        unit = np.concatenate([shape.particles_per_group, np.ones(shape.n_mu)])
+        covariance = (self.covariance[own][:, own] * self.explained.widening).numpy() * np.outer(unit, unit)
+        found = np.concatenate([self.unknowns.values(self.mode)[name].numpy() for name in OBJECT]) * unit
+        mass, friction = np.split(found, [groups])
+        shares = friction_shares(shape)
+        bare = 1 - shares.sum(1)  # of a group that touches nothing, the mass takes the place of the drag
+        along = shares @ friction + bare
+        slopes = np.eye(len(found))
+        slopes[:groups] = np.hstack([np.diag(along), mass[:, None] * shares])
+        slopes[groups:, groups:] = np.diag(1 / friction)
+        spread, drag = slopes @ covariance @ slopes.T, along * mass
+        white = np.linalg.inv(np.linalg.cholesky(spread[:groups, :groups]))
+        drags = MassPolytope(white, white @ drag).draws(count, seed)
+        onto = white.T @ white @ spread[:groups, groups:]
+        left = spread[groups:, groups:] - spread[groups:, :groups] @ onto
+        own_scatter = rng.multivariate_normal(np.zeros(shape.n_mu), left, count, method="eigh")
+        frictions = friction * np.exp((drags - drag) @ onto + own_scatter)
+        masses = drags / (frictions @ shares.T + bare)
+        whole = rng.normal(mass.sum(), math.sqrt(covariance[:groups, :groups].sum()), (count, 1))
+        scale = whole / masses.sum(1, keepdims=True)
+        return masses * scale, frictions / scale
 
     def nuisances(self) -> dict[str, float]:
         """Values and standard deviations, SI units, of the nuisances of at most `MOST_NUMBERS` numbers, by name.
@@ -484,3 +495,11 @@ class Posterior:
             return {}, ""
         torque, std = self.of("hinge_friction")
         return hinge_frictions(torque.tolist(), std.tolist(), self.explained.widening**0.5)
+
+
+def friction_shares(shape: ObjectShape) -> Float[np.ndarray, "n_m n_mu"]:
+    """Part of each group's feet that has each friction; zeros of a group without feet."""
+    feet = shape.friction_group >= 0
+    count = np.zeros((shape.n_m, shape.n_mu))
+    np.add.at(count, (shape.mass_group[feet], shape.friction_group[feet]), 1.0)
+    return count / np.maximum(count.sum(1, keepdims=True), 1.0)

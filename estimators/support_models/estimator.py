@@ -178,7 +178,7 @@ class SupportAware:
         holds = rigid.explained.explains and polytope.inside[1] <= MAX_MISS
         ends = {f"{end}_{g}_kg": float(v) for end, side in (("least", low), ("most", high)) for g, v in enumerate(side)}
         return Estimate(
-            MassDistribution(mean, rigid.unknowns.values(rigid.optimum.z)["friction"].numpy()),
+            MassDistribution(mean, rigid.unknowns.values(rigid.mode)["friction"].numpy()),
             "underdetermined",
             f"{known} hold the masses to ({100 * self.confidence:g} %): {listed(ranges, MOST_LISTED)}" if holds else "",
             covariance=covariance,
@@ -189,7 +189,8 @@ class SupportAware:
     def _with_materials(self, shape: ObjectShape, fits: tuple[Posterior, ...], answer: Estimate) -> Estimate:
         """The most probable assignment of the materials, or the answer as it was where none fits.
 
-        Where the support is not decided, by the first of its fits with which any assignment agrees.
+        Where the support is not decided, by the first of its fits with which any assignment agrees. Frictions and
+        misfit are those of the fit at the masses chosen.
         """
         count = shape.particles_per_group
         if self.materials_kg:
@@ -198,7 +199,7 @@ class SupportAware:
             options = np.outer(count * shape.cell**2 * shape.height, self.materials_kg_m3)
         known = [fit.mass_equations() for fit in fits]
         each = [rank_assignments(rows / count, values, options) for rows, values in known]
-        ranked = next((ranks for ranks in each if ranks.fits >= UNFIT), each[0])
+        fit, ranked = next((pair for pair in zip(fits, each, strict=True) if pair[1].fits >= UNFIT), (fits[0], each[0]))
         numbers = answer.diagnostics | {"assignment_misfit": ranked.misfit, "assignment_fits": ranked.fits}
         if ranked.fits < UNFIT:
             why = "no assignment of the materials given agrees with the trials"
@@ -208,6 +209,9 @@ class SupportAware:
         many, best = ranked.holding(0.9), float(ranked.probability[0])
         numbers["assignment_probability"] = best
         numbers["assignments_holding_90"] = float(many) if many is not None else np.inf
+        chosen_fit = fit.given(torch.tensor(chosen / count))
+        if many == 1:  # else the frictions of other assignments count too
+            numbers |= chosen_fit.diagnostics
         refuted = answer.status == "unexplained"  # the best masses are refuted, and so are these
         several = f"{many}" if many is not None else f"more than {len(ranked.probability)}"
         message = (
@@ -215,7 +219,7 @@ class SupportAware:
         )
         return replace(
             answer,
-            distribution=MassDistribution(chosen / count, answer.distribution.friction),
+            distribution=MassDistribution(chosen / count, chosen_fit.of("friction")[0].numpy()),
             covariance=ranked.covariance(options) / np.outer(count, count),
             status="unexplained" if refuted else "ok" if many == 1 else "underdetermined",
             message=_joined("" if many == 1 else message, answer.message if refuted else ""),

@@ -6,6 +6,7 @@ with them form a polytope, blurred by the errors of the numbers.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -70,28 +71,38 @@ class MassPolytope:
     def posterior(self, seed: int) -> tuple[Float[np.ndarray, "n_m"], Float[np.ndarray, "n_m n_m"]]:
         """Mean and covariance of the masses given the measurements, with a flat prior over masses >= 0.
 
-        By parallel hit-and-run chains. The mean has the least expected squared error, and agrees with the measurements,
-        since the set is convex.
+        The mean has the least expected squared error, and agrees with the measurements, since the set is convex.
         """
+        start, _ = self.inside
+        total, square, taken = np.zeros(len(start)), np.zeros((len(start), len(start))), 0
+        for masses in self._walked(CHAINS, seed):
+            off = masses - start  # so that chains without freedom have a variance of exactly 0
+            total += off.sum(axis=0)
+            square += off.T @ off
+            taken += CHAINS
+        mean = total / taken
+        return start + mean, square / taken - np.outer(mean, mean)
+
+    def draws(self, count: int, seed: int) -> Float[np.ndarray, "count n_m"]:
+        """Independent draws of the masses given the measurements, with a flat prior over masses >= 0."""
+        *_, last = self._walked(count, seed)
+        return last
+
+    def _walked(self, chains: int, seed: int) -> Iterator[Float[np.ndarray, "chains n_m"]]:
+        """States of parallel hit-and-run chains from the interior mass map, once it is forgotten."""
         rng = np.random.default_rng(seed)
         start, _ = self.inside
         unobserved = null_space(self.rows, rcond=1e-9) * max(float(start.sum()), SMALLEST)
         observed = np.linalg.pinv(self.rows)
-        masses = np.tile(start, (CHAINS, 1))
-        total, square, taken = np.zeros(len(start)), np.zeros((len(start), len(start))), 0
+        masses = np.tile(start, (chains, 1))
         longer = max(len(start) / FEW, 1.0) ** 2
         for step in range(round(longer * STEPS)):
             bases = (unobserved, observed) if unobserved.shape[1] else (observed,)
             basis = bases[step % len(bases)]
-            direction = rng.standard_normal((CHAINS, basis.shape[1])) @ basis.T
+            direction = rng.standard_normal((chains, basis.shape[1])) @ basis.T
             masses = np.maximum(masses + self._along(masses, direction, rng)[:, None] * direction, 0.0)
             if step >= longer * SETTLING:
-                off = masses - start  # so that chains without freedom have a variance of exactly 0
-                total += off.sum(axis=0)
-                square += off.T @ off
-                taken += CHAINS
-        mean = total / taken
-        return start + mean, square / taken - np.outer(mean, mean)
+                yield masses
 
     def _along(self, masses: np.ndarray, direction: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Step of each chain along its direction: a draw from the density on the line, within the bounds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -110,7 +111,7 @@ def main() -> None:
         raise SystemExit(str(error)) from None
     greedy, trained = 100 * np.exp(-falls.mean(axis=1))
     better = falls[1] - falls[0]
-    error = 100 * better.std() / np.sqrt(len(better))
+    error = 100 * better.std(ddof=1) / np.sqrt(len(better)) if len(better) > 1 else math.nan
     Console(soft_wrap=True).print(
         f"{len(better)} unseen objects: expected NAD falls to {greedy:.2f} % of its first value by greedy, "
         f"{trained:.2f} % by the trained index: {100 * (1 - np.exp(-better.mean())):.1f} % lower (geometric mean, "

@@ -82,10 +82,12 @@ class TrialRun:
     def _start_trial(self, experiment: Experiment, action: Action, repeat: int) -> str:
         """Start a trial unless it is stored, refused or running; return its key.
 
-        `repeat` is the number of times that its experiment makes the action before: a world errs anew each time.
+        `repeat` is the number of times that its experiment makes the action before: a world errs anew each time, and so
+        may a runner of another package.
         """
-        trial = Trial(experiment.model, action, experiment.support, seed=repeat, world=experiment.world)
         settings = experiment.scenario.simulation.build()
+        seed = repeat if experiment.world is not None or isinstance(settings, NamedRunner) else 0
+        trial = Trial(experiment.model, action, experiment.support, seed=seed, world=experiment.world)
         key = key_of(trial_request(trial, settings))
         if not (key in self.asking or key in self.refusals or self.store.has_trial(key)):
             self.asking[key] = []

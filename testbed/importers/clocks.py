@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from testbed.frames import rotation_2d
 from testbed.importers.logs import LogError
 from testbed.importers.phases import RATE
 
@@ -121,14 +122,19 @@ def pooled_delay(delays: Sequence[Delay]) -> Delay | None:
 
 
 def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.ndarray]:
-    """Rates of change of the torque's regressors, hand axes, shape (T, 7), and the turn rate [rad/s], shape (T,)."""
+    """Rates of change of the torque's regressors, shape (T, 7), and the turn rate [rad/s], shape (T,).
+
+    Axes turn about the vertical with the hand, whichever way its own axes point.
+    """
 
     def smooth(values: np.ndarray, order: int) -> np.ndarray:
         return gaussian_filter1d(values, _SMOOTHING * RATE, order=order, axis=0) * RATE**order
 
-    yaw = np.unwrap(hand.as_euler("ZYX")[:, 0])
+    turned = (hand * hand[0].inv()).as_matrix()
+    yaw = np.unwrap(np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1]))
     rate, acceleration = smooth(yaw, 1), smooth(yaw, 2)
-    velocity, linear = (hand.inv().apply(smooth(position, order))[:, :2] for order in (1, 2))
+    into = rotation_2d(-yaw)
+    velocity, linear = (np.einsum("nij,nj->ni", into, smooth(position, order)[:, :2]) for order in (1, 2))
     slow = np.where(np.abs(rate) < 0.05, 0.05, rate)[:, None]
     columns = np.column_stack([acceleration, rate, rate**2, linear, velocity / slow])
     return np.asarray(np.gradient(columns, 1 / RATE, axis=0)), rate

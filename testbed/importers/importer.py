@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from testbed.objects.files import load_object
 from testbed.objects.model import ObjectModel
 from testbed.robot.calibration.file import load_calibration
 from testbed.sensing.camera_poses import frame_mismatch, with_camera_poses
-from testbed.sensing.compensation import compensate
+from testbed.sensing.compensation import ZEROED_BEFORE, compensate
 from testbed.sensing.drift import DriftLimit, judge_drift
 from testbed.toml import load_toml
 from testbed.trajectory import Tool, Trajectory
@@ -80,7 +81,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
     if action.grasp is not None:
         grasp = model.shape.grasps[action.grasp]
         yaw, grip = closing_yaw(hand, table.hand) - grasp.angle, grasp.position
-    sensor = hand * Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
+    in_hand = Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
     tool, since_1970 = table.tool, _SINCE_1970[0] < begin < _SINCE_1970[1]
     origin = {
         "runner": "import",
@@ -106,7 +107,7 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         object_velocity=origin_velocity(twist, yaw, grip),
         tcp_position=position,
         tcp_velocity=twist,
-        sensor_orientation=sensor.as_quat(scalar_first=True),
+        sensor_orientation=(hand * in_hand).as_quat(scalar_first=True),
         sensor_wrench=table.sensor.sign * resampled(wrench, base) / gain,
         wrench_on_object_world=np.zeros((count, 6)),
         joint_position=np.zeros((count, 7)) if joints is None else resampled(joints, base),
@@ -118,7 +119,12 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         provenance={name: words for name, words in origin.items() if words is not None},
         figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
     )
-    trajectory = with_camera_poses(compensate(trajectory, zeroed=table.sensor.zeroed))
+    zeroed = None
+    if table.sensor.zeroed:
+        zeroed = (streams.begin_hand * in_hand).as_quat(scalar_first=True)
+        before = {ZEROED_BEFORE: float(base[0]) - streams.begin_s}
+        trajectory = replace(trajectory, figures=trajectory.figures | before)
+    trajectory = with_camera_poses(compensate(trajectory, zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; {_CAMERA_REMEDY}")
     return judge_drift(trajectory, DriftLimit())

@@ -185,19 +185,26 @@ def resampled_rotation(time: Float[np.ndarray, "N"], rotations: Rotation, base: 
 
 
 def phases_from_windows(windows: Sequence[PhaseWindow], time: Float[np.ndarray, "T"], zeroed: bool = False) -> Phases:
-    """Phases by the mapping's windows; a zeroed sensor needs no tare.
+    """Phases by the mapping's windows; a zeroed sensor needs no tare, and is not zeroed again by one after the motion.
 
     Samples between windows are approach before the first steady window, ramp before the end of the last one, and
     release after it.
 
     Raises:
-        LogError: no steady window, no tare before the first one, a tare or steady window beyond the log's end, or a
-            window without a sample.
+        LogError: no steady window, no tare before the first one, a tare shorter than `SHORTEST_TARE`, a tare or steady
+            window beyond the log's end, or a window without a sample.
     """
     phase, segment = np.full(len(time), Phase.RELEASE), np.full(len(time), -1)
-    steady = [w for w in windows if w.kind == Phase.STEADY]
-    if not steady or not (zeroed or any(w.kind == Phase.TARE and w.from_s < steady[0].from_s for w in windows)):
+    steady, tares = ([w for w in windows if w.kind == kind] for kind in (Phase.STEADY, Phase.TARE))
+    tared = bool(steady) and any(tare.from_s < steady[0].from_s for tare in tares)
+    if not (steady and (tared or zeroed)):
         raise LogError('phases: allowed: one or more "steady", after one or more "tare"')
+    for tare in tares:
+        if tare.to_s - tare.from_s < SHORTEST_TARE - 1e-9:
+            given = f"{tare.from_s:g} to {tare.to_s:g} s"
+            raise LogError(f"phases: {tare.phase} at {given}; allowed: {SHORTEST_TARE:g} s or more")
+    if not tared:
+        windows = [w for w in windows if w.kind != Phase.TARE]
     phase[time < steady[-1].to_s] = Phase.RAMP
     phase[time < steady[0].from_s] = Phase.APPROACH
     for window in windows:

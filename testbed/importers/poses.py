@@ -32,13 +32,15 @@ _FIELDS = {
 _TREE = "tf2_msgs/TFMessage"
 FROZEN = 0.1
 """Shortest repetition of a pose within a motion that is left out [s]."""
+LEAST_JUMP = 1e-4
+"""Least half of the way during a repetition that shows a motion [m, or of a quaternion]: sources round their poses."""
 BEFORE = 5
 """Number of steps before a repetition from which the speed is estimated."""
 _TILTED = 20.0
 """Largest angle between the z axes of an object on the table and of the base [deg]."""
 
 
-def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
+def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path, longest_gap: float) -> Pose:
     """Pose of the hand, arm's base frame turned upright.
 
     Args:
@@ -46,6 +48,7 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
         hand: the mapping's [hand] table.
         time: column and unit of the time.
         folder: folder of the mapping file, from which a URDF is named.
+        longest_gap: longest time between two stamps of a transform over which it is interpolated [s].
 
     Raises:
         InvalidValueError: no such topic, column, frame, link or joint; or nothing says where the pose is.
@@ -54,12 +57,12 @@ def hand_pose(log: Log, hand: HandMap, time: TimeMap, folder: Path) -> Pose:
     if isinstance(log, MessageLog) and not hand.position and log.type_of("hand", hand.topic) == JOINT_STATE:
         found = _from_joints(log, hand, time, folder)
     else:
-        found = _pose(log, "hand", hand, time)
+        found = _pose(log, "hand", hand, time, longest_gap)
     series, turned = found if isinstance(log, TableLog) and log.numbered else without_frozen(found)
     return series._replace(values=hand.upright.apply(series.values)), hand.upright * turned
 
 
-def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap) -> Pose:
+def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: TimeMap, longest_gap: float) -> Pose:
     """Pose of an object frame by a camera, arm's base frame.
 
     Args:
@@ -68,12 +71,13 @@ def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Ti
         part: the mapping's [[camera.parts]] table.
         camera: its [camera] table.
         time: column and unit of the time.
+        longest_gap: as in `hand_pose`.
 
     Raises:
         InvalidValueError: as `hand_pose`.
         LogError: values that are no pose, or a frame that does not lie on the table.
     """
-    series, marker = without_frozen(_pose(log, field, part, time))
+    series, marker = without_held(without_frozen(_pose(log, field, part, time, longest_gap)))
     mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
     place = mount.apply(series.values + marker.apply(part.object_m)) + camera.in_base_m
     turned = mount * marker * Rotation.from_quat(part.object_wxyz, scalar_first=True)
@@ -86,12 +90,12 @@ def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Ti
     return Series(series.time_s, place), turned
 
 
-def _pose(log: Log, field: str, of: PoseMap, time: TimeMap) -> Pose:
+def _pose(log: Log, field: str, of: PoseMap, time: TimeMap, longest_gap: float) -> Pose:
     kind = log.type_of(field, of.topic)
     if of.position and of.orientation:
         return _from_columns(log, field, of, of.position, of.orientation, time)
     if isinstance(log, MessageLog) and kind == _TREE:
-        return _from_tree(log, field, of, time)
+        return _from_tree(log, field, of, time, longest_gap)
     if kind not in _FIELDS:
         has = f"; {of.topic} has {kind or 'no type of message'}" if of.topic else ""
         columns = f"{field}.position, {field}.orientation"
@@ -127,11 +131,7 @@ def without_frozen(pose: Pose) -> Pose:
     A source that loses the hand or the object may repeat its last pose, which is no measurement. A rest is kept: no
     jump ends it.
     """
-    (stamps, place), turned = pose
-    quaternion = turned.as_quat()
-    flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0  # q and -q are one rotation
-    quaternion[1:] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
-    steps = np.abs(np.diff(np.hstack([place, quaternion]), axis=0)).max(axis=1)
+    stamps, steps = pose[0].time_s, _steps(pose)
     kept = np.full(len(stamps), True)
     for run in runs(steps == 0):
         first, last = int(run[0]), int(run[-1]) + 1  # these samples and all between are equal
@@ -139,8 +139,34 @@ def without_frozen(pose: Pose) -> Pose:
         if seconds < FROZEN or last == len(steps) or first < BEFORE:
             continue
         way = float(np.median(steps[before] / np.diff(stamps)[before])) * seconds
-        kept[run + 1] = not steps[last] > way / 2 > 0
-    return pose if kept.all() else (Series(stamps[kept], place[kept]), Rotation.from_quat(quaternion[kept]))
+        kept[run + 1] = not steps[last] > way / 2 > LEAST_JUMP
+    return _among(pose, kept)
+
+
+def without_held(pose: Pose) -> Pose:
+    """Poses without repetitions shorter than `FROZEN`: a table at a higher rate holds the frames of a camera.
+
+    Longer repetitions are a rest.
+    """
+    stamps, steps = pose[0].time_s, _steps(pose)
+    kept = np.full(len(stamps), True)
+    for run in runs(steps == 0):
+        kept[run + 1] = stamps[run[-1] + 1] - stamps[run[0]] >= FROZEN
+    return _among(pose, kept)
+
+
+def _steps(pose: Pose) -> np.ndarray:
+    """Largest change of a component from each pose to the next [m, or of a quaternion]."""
+    (_, place), turned = pose
+    quaternion = turned.as_quat()
+    flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0  # q and -q are one rotation
+    quaternion[1:] *= np.cumprod(np.where(flips, -1.0, 1.0))[:, None]
+    return np.abs(np.diff(np.hstack([place, quaternion]), axis=0)).max(axis=1)
+
+
+def _among(pose: Pose, kept: np.ndarray) -> Pose:
+    (stamps, place), turned = pose
+    return pose if kept.all() else (Series(stamps[kept], place[kept]), Rotation.from_quat(turned.as_quat()[kept]))
 
 
 def _quaternions(field: str, given: np.ndarray, scalar_first: bool = False) -> Rotation:
@@ -174,7 +200,8 @@ class _Edge(NamedTuple):
         return interpolated(time, self.time_s, self.position), Slerp(self.time_s, self.rotation)(time)
 
 
-def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:
+def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap, longest_gap: float) -> Pose:
+    """Pose of a frame at the stamps of its lowest moving transform, without those in a gap of another one."""
     edges = _edges(log, field, str(of.topic), time)
     if of.frame not in edges:
         raise unknown(f"{field}.frame", of.frame, sorted(edges), log.path)
@@ -194,6 +221,10 @@ def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap) -> Pose:
     stamps = moving[0].time_s
     begin, end = max(e.time_s[0] for e in moving), min(e.time_s[-1] for e in moving)
     stamps = stamps[(stamps >= begin) & (stamps <= end)]
+    for edge in moving[1:]:
+        after = np.searchsorted(edge.time_s, stamps).clip(1, len(edge.time_s) - 1)
+        gap = edge.time_s[after] - edge.time_s[after - 1]
+        stamps = stamps[(gap <= longest_gap) | np.isin(stamps, edge.time_s)]
     if len(stamps) < 2:
         spans = [(name, edges[name].time_s) for name in passed if len(edges[name].time_s) > 1]
         given = ", ".join(f"{name} at {one[0]:.2f} to {one[-1]:.2f} s" for name, one in spans)

@@ -47,7 +47,9 @@ class Streams:
     velocity: Series | None
     epoch_s: int
     begin_s: float
-    """Time of the first sample that all of them cover [s]."""
+    """Time of the first sample that all of them cover in the whole log [s]."""
+    begin_hand: Rotation
+    """Orientation of the hand at that time."""
     left_out: str = ""
     """Samples of the wrench that measured nothing, in words."""
     camera_poses: tuple[Pose, ...] = ()
@@ -59,14 +61,16 @@ class Streams:
         other = sensor_log(source, table, folder)
         (wrench, left_out), pose, joints, velocity, camera_poses = read_all(
             lambda: read_wrench(other, table.sensor, table.time),
-            lambda: hand_pose(source, table.hand, table.time, folder),
+            lambda: hand_pose(source, table.hand, table.time, folder, table.longest_gap_s),
             lambda: _joints(source, table.joints, table.time) if table.joints else None,
             lambda: _velocity(source, table.velocity, table.time, table.hand) if table.velocity else None,
             lambda: _camera_poses(source, table, folder),
         )
         wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s))
-        streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, left_out, camera_poses)
-        return replace(streams, begin_s=float(max(one.time_s[0] for one in streams.needed)))
+        streams = cls(wrench, pose, joints, velocity, source.epoch_s, 0.0, pose[1][0], left_out, camera_poses)
+        begin = float(max(one.time_s[0] for one in streams.needed))
+        stamps = np.clip([begin], *pose[0].time_s[[0, -1]])  # streams that do not overlap are refused later
+        return replace(streams, begin_s=begin, begin_hand=resampled_rotation(pose[0].time_s, pose[1], stamps)[0])
 
     @property
     def needed(self) -> list[Series]:
@@ -223,7 +227,8 @@ def _camera_poses(source: Log, table: Mapping, folder: Path) -> tuple[Pose, ...]
 
     def read(index: int, part: PartMap) -> Pose:
         log = source if part.file is None else open_log(folder / part.file, table)
-        series, turned = camera_pose(log, f"camera.parts.{index}", part, camera, part.time or table.time)
+        field, time = f"camera.parts.{index}", part.time or table.time
+        series, turned = camera_pose(log, field, part, camera, time, table.longest_gap_s)
         return series._replace(time_s=series.time_s + (log.epoch_s - source.epoch_s)), turned
 
     return tuple(read_all(*(partial(read, *each) for each in enumerate(camera.parts))))

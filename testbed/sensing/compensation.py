@@ -22,19 +22,26 @@ UNEVEN = 0.01
 """Part of a step by which samples may lie off even times: beyond, they are interpolated."""
 
 
-def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
+ZEROED_BEFORE = "zeroed_before_s"
+"""Figure of a record without a tare: time from the zeroing of its sensor to its first sample [s]."""
+
+
+def compensate(trajectory: Trajectory, zeroed: Float[np.ndarray, "4"] | None = None) -> Trajectory:
     """Trajectory with `wrench_on_object_world` from its raw sensor record, simulated or real.
 
     Tare: the sensor's bias is the mean of the raw record while hovering, less the weight of the tool. A second tare at
-    the end of a trial only shows the drift. A sensor that was zeroed before the record (`zeroed`), with the tool in its
-    orientation at the first sample, needs no tare. Tool: gravity and inertia of all parts below the sensor follow from
-    the hand's motion. The remaining wrench is moved to the TCP, in world axes.
+    the end of a trial only shows the drift. Tool: gravity and inertia of all parts below the sensor follow from the
+    hand's motion. The remaining wrench is moved to the TCP, in world axes.
+
+    Args:
+        trajectory: record with a tool.
+        zeroed: orientation in which the sensor was zeroed before the record, wxyz; a record then needs no tare.
 
     Raises:
         InvalidValueError: no tare samples, or no tool.
     """
     tool, tares = trajectory.tool, _tares(trajectory)
-    if tool is None or not (tares or zeroed):
+    if tool is None or not (tares or zeroed is not None):
         raise InvalidValueError(
             "Trajectory", "no tool" if tool is None else "no samples in phase TARE", "a record with a tool and a tare"
         )
@@ -43,7 +50,7 @@ def compensate(trajectory: Trajectory, zeroed: bool = False) -> Trajectory:
     if tares:
         bias = (trajectory.sensor_wrench - load)[tares[0]].mean(axis=0)
     else:
-        bias = -tool_pulls(tool, axes[:1], np.array([[0.0, 0.0, GRAVITY]]))[0, 0]
+        bias = -tool_pulls(tool, rotation_matrix(np.array(zeroed))[None], np.array([[0.0, 0.0, GRAVITY]]))[0, 0]
     at_sensor = trajectory.sensor_wrench - bias - load
     world = rotate_wrench(axes, move_wrench(at_sensor, tool.tcp))
     return replace(trajectory, wrench_on_object_world=world)
@@ -107,6 +114,7 @@ def twist_rates(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
 
 
 def tare_time(trajectory: Trajectory) -> float:
-    """Middle of the first tare [s]; the first sample's time without a tare."""
+    """Middle of the first tare [s]; the time at which the sensor was zeroed without a tare."""
     tare = tare_samples(trajectory)
-    return float(trajectory.time_s[tare].mean() if len(tare) else trajectory.time_s[0])
+    zeroed = trajectory.time_s[0] - trajectory.figures.get(ZEROED_BEFORE, 0.0)
+    return float(trajectory.time_s[tare].mean() if len(tare) else zeroed)

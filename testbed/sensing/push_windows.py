@@ -199,7 +199,8 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
     planar = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
     planar = np.convolve(np.pad(planar, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-    force, free = planar[inside], planar[trajectory.mask(Phase.TARE)]
+    tare = trajectory.mask(Phase.TARE)
+    force, free = planar[inside], planar[tare] if tare.any() else planar[: int(np.argmax(inside))]
     usual = np.quantile(force, 0.9)
     if not (force > TOUCHING * usual).any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")

@@ -257,13 +257,12 @@ def sensor_map(trajectory: Trajectory, at: tuple[int, float] | None = None) -> F
         at: a sample, and the object's yaw at it [rad]; None for a grip, where the hand turns with the object, and the
             map is the same at all samples.
     """
-    if trajectory.tool is None:
-        return np.eye(6)
+    tcp = np.zeros(3) if trajectory.tool is None else trajectory.tool.tcp
     first = int(np.argmax(trajectory.segment >= 0))
     sample, yaw = at or (first, float(trajectory.object_pose[first, 2]))
     axes = rotation_matrix(trajectory.sensor_orientation[sample])
     axes[:2] = rotation_2d(-yaw) @ axes[:2]
-    return rotate_wrench(axes, move_wrench(np.eye(6), trajectory.tool.tcp)).T
+    return rotate_wrench(axes, move_wrench(np.eye(6), tcp)).T
 
 
 def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:

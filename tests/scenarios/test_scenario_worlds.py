@@ -94,6 +94,12 @@ def test_sensors_share_the_trials_of_a_draw_and_a_perfect_one_has_draws_too():
     assert scenario.world.draw(model, 0, "other") != scenario.world.draw(model, 0, "s")
 
 
+def test_a_repeat_without_a_world_has_a_key_of_its_own_where_it_is_asked_for():
+    model, settings = load_object("I2"), SimulationSettings()
+    keys = {key_of(trial_request(Trial(model, Rotate(0), seed=seed), settings)) for seed in range(3)}
+    assert len(keys) == 3
+
+
 def test_keys_differ_by_world_and_leave_the_ideal_one_out():
     model, action, settings = load_object("I2"), Rotate(0), SimulationSettings()
     plain = trial_request(Trial(model, action), settings)

@@ -270,6 +270,16 @@ def test_points_of_a_sweep_are_one_sample_of_an_object():
     assert [cells[0].words for _, cells in table.rows] == ["10.0", "30.0"]
 
 
+def test_a_sweep_counts_each_object_once_and_answers_that_are_missing():
+    nads = {"o": (0.01, 0.09), "p": (0.02, 0.02), "q": (0.03, 0.032)}
+    rows = [row("a", s, nad, name) | {"axis.k": 1} for name, pair in nads.items() for s, nad in enumerate(pair)]
+    rows += [row("b", 0, 0.01, "o") | {"axis.k": 1}]
+    rows += [row("b", 0, None, name) | {"axis.k": 1, "status": "failed"} for name in "pq"]
+    (_, (a,)), (_, (b,)) = sweep_table(rows, "axis.k", "t").rows
+    assert a.text == "3.10"
+    assert b.missing == "1 of 3 ok"
+
+
 def test_identifiers_of_two_figures_do_not_clash():
     figure = Figure()
     figure.subplots().plot([1, 2], [1, 2], marker="o")

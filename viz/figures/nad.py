@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import fmean
 
 import matplotlib as mpl
 import numpy as np
@@ -105,8 +106,17 @@ def nad_sweep(rows: Sequence[Row], axis_column: str) -> Figure:
 
 
 def _quartiles(rows: Sequence[Row], axis_column: str, values: Sequence[object]) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the values of a setting with rows, (K,), and quartiles of the NAD at them [%], (3, K)."""
-    found = [100 * np.array([row["nad"] for row in rows if row.get(axis_column) == value]) for value in values]
+    """Indices of the values of a setting with rows, (K,), and quartiles over objects of the NAD at them [%], (3, K).
+
+    Each object counts once, with the mean over its draws.
+    """
+    found = []
+    for value in values:
+        objects: dict[str | None, list[float]] = {}
+        for row in rows:
+            if row.get(axis_column) == value:
+                objects.setdefault(row.get("object"), []).append(100 * row["nad"])
+        found.append([fmean(nads) for nads in objects.values()])
     present = np.flatnonzero([len(each) > 0 for each in found])
     return present, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in present], (-1, 3)).T
 

@@ -241,7 +241,7 @@ def _sweeps(
         name = axis.removeprefix(AXIS)
         for label, found in (split or {"all": rows}).items():
             picture = draw(nad_sweep(found, axis), f"NAD against {name}: {label}")
-            table = sweep_table(found, axis, f"Median NAD, %, by {name}: {label}")
+            table = sweep_table(found, axis, f"Median NAD over objects, %, by {name}: {label}")
             sweeps.setdefault(name, []).append((picture, table))
     return sweeps
 

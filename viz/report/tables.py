@@ -307,25 +307,23 @@ def percent(part: float) -> str:
 
 
 def sweep_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Table of the median NAD by value of a swept setting; of a setting of words, values down with claims."""
+    """Table of the median NAD over objects by value of a swept setting; of words, values down, with claims."""
     values = axis_values(rows, axis)
     if any(isinstance(value, str) for value in values):
         return _sources_table(rows, axis, title)
-    at = {value: [row for row in rows if row.get(axis) == value and row["nad"] is not None] for value in values}
-    nads = lambda value, m: [NAD.scale * row["nad"] for row in at[value] if row["method"] == m]  # noqa: E731
-    lines = tuple(((m,), tuple(_median(nads(value, m)) for value in values)) for m in methods_of(rows))
+    at = {value: [row for row in rows if row.get(axis) == value] for value in values}
+    lines = tuple(((m,), tuple(_over_objects(at[value], m) for value in values)) for m in methods_of(rows))
     return Table(title, tuple(f"{v:g}" if isinstance(v, float) else str(v) for v in values), lines)
 
 
 def _sources_table(rows: Sequence[Row], axis: str, title: str) -> Table:
-    """Table of a setting of words: values down, methods across; median NAD, error over claimed error in brackets."""
+    """Table of a setting of words: values down, methods across; median NAD over objects, error over claimed error."""
     methods, lines = methods_of(rows), []
     for value in axis_values(rows, axis):
         cells = []
         for method in methods:
-            own = [row for row in rows if row.get(axis) == value and row["method"] == method]
-            claims = Claims.of(own)
-            nad = _median(NAD.scale * row["nad"] for row in own if row["nad"] is not None)
+            own = [row for row in rows if row.get(axis) == value]
+            claims, nad = Claims.of([row for row in own if row["method"] == method]), _over_objects(own, method)
             cells.append(replace(nad, text=nad.text + (f" ({claims.ratio:.1f})" if claims else "")))
         lines.append(((str(value),), tuple(cells)))
     return Table(title, tuple(methods), tuple(lines), note="in brackets: error over claimed error, root mean square")

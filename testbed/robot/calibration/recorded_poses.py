@@ -61,7 +61,7 @@ def recorded_poses(log: Path, mapping: Path) -> tuple[list[StaticPose], str]:
     other = sensor_log(source, table, mapping.parent)
     (wrench, left_out), pose = read_all(
         lambda: read_wrench(other, table.sensor, table.time),
-        lambda: hand_pose(source, table.hand, table.time, mapping.parent),
+        lambda: hand_pose(source, table.hand, table.time, mapping.parent, table.longest_gap_s),
     )
     late = (table.sensor.delay_s or 0.0) * (table.rows == "samples")
     wrench = wrench._replace(time_s=wrench.time_s + (other.epoch_s - source.epoch_s) - late)

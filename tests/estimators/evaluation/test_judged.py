@@ -186,7 +186,6 @@ def test_without_a_prediction_the_answer_stays():
     assert status_of(nothing) is nothing
 
 
-@pytest.mark.slow
 def test_masses_that_few_rows_refute_are_no_chance():
     shape, weight, once = OBJECT.shape, OBJECT.total_mass, [analytic_trial(OBJECT, Rotate(0))]
     reversed_ = MassDistribution(OBJECT.truth.mass[::-1].copy(), OBJECT.truth.friction)
@@ -195,6 +194,7 @@ def test_masses_that_few_rows_refute_are_no_chance():
     assert wrong.status == "unexplained" and wrong.diagnostics["misfit_freedom"] > 0
 
 
+@pytest.mark.slow
 def test_masses_of_groups_are_told_from_those_of_particles():
     of_groups = MassDistribution(TRUTH.mass * SHAPE.particles_per_group, TRUTH.friction)
     assert "9 times the weight: these are masses of groups" in status_of(says(of_groups)).message

@@ -129,6 +129,10 @@ def test_own_weight_is_refuted_where_the_misfit_shows_it_and_an_assumption_every
     assert (answer.status, bool(answer.message)) == (status, status != "ok")
     assert answer.assumes == "every mass group rests on its own weight"
     assert (nad(obj, answer) > 0.1) == rigid
+    report, error = answer.identifiability, answer.friction_error()
+    assert report is not None and error is not None
+    wider = max(answer.diagnostics["misfit"], 1.0) ** 0.5 if rigid else 1.0
+    assert_allclose(error, wider * report.friction_error)
 
 
 @cache

@@ -27,7 +27,19 @@ from estimators.testing.analytic_world import drawn_object
 from estimators.wrench.jacobian import zeros
 from estimators.wrench.model import EXACT, ModelErrors, ParticleModel
 from estimators.wrench.support import own_weight_loads
-from testbed import Accelerate, Action, ObjectModel, Push, Rotate, SetupErrors, Slide, Trajectory, load_object, preset
+from testbed import (
+    Accelerate,
+    Action,
+    ObjectModel,
+    Phase,
+    Push,
+    Rotate,
+    SetupErrors,
+    Slide,
+    Trajectory,
+    load_object,
+    preset,
+)
 from testbed.errors import InfeasibleTrialError, InvalidValueError
 from testbed.frames import perpendicular, rotation_2d
 from testbed.objects.chain import Chain
@@ -373,6 +385,17 @@ def test_a_fast_push_has_windows_over_as_long_a_way(speed):
     assert inside.any()
     off = (predicted - measured)[inside].mean(axis=0)  # a window has one wrench, that of its mean
     assert (np.abs(off) < [0.03, 0.03, 0.1] * np.abs(measured[inside]).max(axis=0)).all()
+
+
+@pytest.mark.parametrize("phase", [Phase.TARE, Phase.APPROACH])
+def test_noise_is_no_contact_with_and_without_a_tare(phase):
+    (trial,) = analytic_pushes(BLOCKS, [Push((0.05, -0.01), math.radians(-160))])
+    noise = 0.07 * np.random.default_rng(0).standard_normal(trial.wrench_on_object_world.shape)
+    before = np.arange(len(noise)) < 40
+    phases, segment = np.where(before, phase, trial.phase), np.where(before, -1, trial.segment)
+    empty = replace(trial, phase=phases, segment=segment, wrench_on_object_world=noise)
+    with pytest.raises(InvalidValueError, match="no force at the fingertip"):
+        touching(empty)
 
 
 @pytest.mark.slow

@@ -165,8 +165,9 @@ def test_masses_come_back_from_predicted_readings(kind, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["turns", "pushes"])
-def test_a_constant_error_in_the_sensors_axes_changes_no_answer_where_its_size_is_unknown(kind):
+@pytest.mark.parametrize(("kind", "known"), [("turns", True), ("pushes", True), ("pushes", False)])
+def test_a_constant_error_in_the_sensors_axes_changes_no_answer_where_its_size_is_unknown(kind, known):
+    """With the tool in the record or without it."""
     model, trials = KINDS[kind]
     error = np.array([0.4, -0.3, 0.2, 0.02, 0.01, -0.02])
     stated = [replace(trial, sensor_bias_std=np.repeat([20.0, 1.0], 3)) for trial in trials()]
@@ -175,8 +176,18 @@ def test_a_constant_error_in_the_sensors_axes_changes_no_answer_where_its_size_i
         replace(t, wrench_on_object_world=t.wrench_on_object_world + more)
         for t, more in zip(stated, wrenches, strict=True)
     ]
-    right, found = (joint(model, each).of("mass")[0] for each in (stated, wrong))
+    tool = {} if known else {"tool": None}
+    both = ([replace(trial, **tool) for trial in each] for each in (stated, wrong))
+    right, found = (joint(model, each).of("mass")[0] for each in both)
     assert_allclose(found, right, rtol=0.03)  # a search ends within a third of a standard error
+
+
+def test_a_trial_with_a_larger_bias_has_it_alone():
+    made = turns(OBJECT, [0, 1])
+    stated = [replace(trial, sensor_bias_std=np.full(6, std)) for trial, std in zip(made, (0.05, 5.0), strict=True)]
+    windows = windows_of(OBJECT, stated, SHARP)
+    used = windows.bias[:, 0, 0].sqrt()
+    assert used.numpy() == pytest.approx(np.where(windows.trial == 0, 0.05, 5.0), rel=0.01)
 
 
 @pytest.mark.slow
@@ -322,6 +333,34 @@ def test_draws_are_masses_of_the_posterior_even_where_it_is_wide():
     assert (mass.std(0) > 0.02).all()
     assert_allclose(mass.sum(1), wide.total_mass, atol=0.006)
     assert np.array_equal(broad.draws(wide.shape, 500, 0)[0], mass), "equal seeds give equal draws"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("support", ["own_weight", "rigid"])
+def test_draws_keep_what_the_trials_show(support):
+    """The center of mass of one rigid body, and the drag of the groups of each friction."""
+    model = drawn_object(0, friction_groups=1 if support == "rigid" else 2)
+    shape, rigid = model.shape, support == "rigid"
+    found = joint(model, turns(model, noise=0.05, rigid=rigid) + accelerated(model, noise=0.05, rigid=rigid), support)
+    mass, friction = found.draws(shape, 2000, 0)
+    answer, own = found.estimate(shape).distribution, shape.n_m + shape.n_mu
+    assert answer is not None
+    unit = np.concatenate([shape.particles_per_group, np.ones(shape.n_mu)])
+    at = np.concatenate([answer.mass, answer.friction]) * unit
+    inside = found.covariance[:own, :own].numpy() * np.outer(unit, unit) * found.explained.widening
+    group = at[: shape.n_m]
+    places = np.array([shape.middle_of(g) for g in range(shape.n_m)])
+    slopes = np.zeros((2, own))
+    slopes[:, : shape.n_m] = ((places - group @ places / group.sum()) / group.sum()).T
+    stated = np.sqrt(np.diag(slopes @ inside @ slopes.T))
+    assert_allclose((mass @ places / mass.sum(1, keepdims=True)).std(0), stated, rtol=0.1)
+    of_group = np.array([shape.friction_group[shape.mass_group == g].max() for g in range(shape.n_m)])
+    for k in range(shape.n_mu):
+        ours = of_group == k
+        slope = np.concatenate([at[shape.n_m + k] * ours, np.eye(shape.n_mu)[k] * group[ours].sum()])
+        drag, std = friction[:, k] * mass[:, ours].sum(1), np.sqrt(slope @ inside @ slope)
+        assert abs(drag.mean() - at[shape.n_m + k] * group[ours].sum()) < 0.2 * std
+        assert drag.std() == pytest.approx(std, rel=0.1)
 
 
 def padded(error=0.0):

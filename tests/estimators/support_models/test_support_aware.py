@@ -15,11 +15,12 @@ from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from estimators import Estimate, RankDriven, SupportAware
+from estimators.evaluation.judged import misfit_on
 from estimators.posterior.estimator import Bayes, posterior_of
 from estimators.posterior.support import SupportTest, support_test
 from estimators.support_models.materials import rank_assignments
 from estimators.support_models.polytope import MassPolytope
-from estimators.testing.analytic_world import drawn_object, foundation, turns
+from estimators.testing.analytic_world import accelerated, drawn_object, foundation, turns
 from estimators.wrench.model import EXACT, ParticleModel, inertia_of
 from estimators.wrench.support import GripperLoad, SupportModel, contact_spread, rigid_loads
 from testbed import Accelerate, InvalidValueError, Rotate, SetupErrors, SimulationRunner, Trajectory, load_object
@@ -205,6 +206,22 @@ def test_two_materials_make_it_a_finite_search(name, rigid):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_frictions_are_those_of_the_masses_that_materials_choose():
+    """Trials show products of masses and frictions."""
+    obj = blocks(["11", "10"], [0.1, 0.4, 0.4], [0.3, 0.6], [0, 1, 0])
+    made = turns(obj, noise=0.3) + accelerated(obj, noise=0.3)
+    answer = ask(obj, made, SupportAware(materials_kg=(0.1, 0.4)))
+    assert_allclose(found(answer).mass, obj.truth.mass)
+    assert_allclose(found(answer).friction, obj.truth.friction, rtol=0.03)
+    error = answer.friction_error()
+    assert error is not None
+    assert (np.abs(found(answer).friction - obj.truth.friction) < 3 * error).all() and (error < 0.02).all()
+    misfit = misfit_on("own_weight", obj.shape, obj.total_mass, made, found(answer))
+    assert misfit is not None
+    assert misfit.value == pytest.approx(answer.diagnostics["misfit"], rel=0.05)
+
+
 def test_densities_are_masses_of_the_groups_volume_and_wrong_materials_are_not_forced():
     obj = load_object("L2")
     volume = obj.shape.particles_per_group[0] * obj.shape.cell**2 * obj.shape.height

@@ -16,6 +16,8 @@ from estimators.testing.recorded import load_block
 from scenarios.cli.main import main
 from testbed import Phase, Push, Rotate, Trajectory, draw_sensing, load_object, preset
 from testbed.importers.importer import import_trajectory
+from testbed.importers.logs import Series
+from testbed.importers.poses import without_frozen, without_held
 from testbed.importers.segments import find_segments
 from testbed.sensing.camera import PoseStream
 from testbed.sensing.compensation import tare_samples
@@ -161,6 +163,22 @@ def test_the_camera_names_the_grasp_of_a_turn(tmp_path: Path):
         (found,) = [segment for segment in find_segments(log, mapping) if segment.action]
         assert grasp in found.grasps and (len(found.grasps) == 1) == one
     assert isinstance(found.action, Rotate) and found.action.grasp == turn.action.grasp
+
+
+def test_frames_that_a_faster_table_holds_count_once_and_a_rest_is_kept():
+    time, at = np.arange(400) / 100, np.floor(np.arange(400) * 0.3) / 30
+    place = np.column_stack([np.clip(at - 1.0, 0.0, 2.0), np.zeros((400, 2))])
+    series, turned = without_held((Series(time, place), Rotation.identity(400)))
+    moves = (series.time_s > 1.1) & (series.time_s < 3.0)
+    assert np.median(np.diff(series.time_s[moves])) == pytest.approx(1 / 30, abs=0.004)
+    assert (series.time_s < 1.0).sum() == 100 and len(turned) == len(series.time_s)
+
+
+def test_a_rest_of_rounded_poses_is_no_lost_source():
+    """One count of 1 um before a rest, and one after it."""
+    place = 1e-6 * np.concatenate([np.arange(6), np.full(100, 6), np.arange(7, 20)])[:, None] * np.ones(3)
+    pose = Series(np.arange(len(place)) / 100, place), Rotation.identity(len(place))
+    assert without_frozen(pose) is pose
 
 
 def test_a_zeroed_sensor_needs_no_tare(push: Trajectory, tmp_path: Path):

@@ -63,6 +63,17 @@ def test_a_delay_is_found_and_taken_off(turns: list[Trajectory], tmp_path: Path,
     assert off < 0.2 * np.std(there[turned][:, 5])
 
 
+@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
+def test_a_delay_is_the_same_in_any_frame_of_the_hand(turns: list[Trajectory], axis: list[float]):
+    turn = turns[0]
+    hand = Rotation.from_quat(turn.sensor_orientation, scalar_first=True)
+    torque = np.sum(turn.sensor_wrench[:, 3:] * hand.inv().apply([0.0, 0.0, 1.0]), axis=1)
+    late = np.interp(turn.time_s - 0.05, turn.time_s, torque)
+    other = hand * Rotation.from_rotvec(np.pi / 2 * np.array(axis))
+    usual, found = (wrench_delay(late, turn.tcp_position, one, turn.time_s) for one in (hand, other))
+    assert found.seconds == pytest.approx(usual.seconds, abs=1e-4) == pytest.approx(0.05, abs=0.005)
+
+
 @pytest.mark.parametrize("count", [1, 4, 16])
 def test_the_error_of_the_model_is_common_to_all_turns(count):
     own = 0.003

@@ -212,7 +212,7 @@ def test_a_tree_that_gives_no_pose_says_why(content: dict[str, object], said: st
         Path("log.mcap"), {"/tf": "tf2_msgs/msg/TFMessage"}, lambda _: [Message(0, 0, json.dumps(content).encode())]
     )
     with pytest.raises(HeftError, match=rf"log\.mcap: {said}"):
-        hand_pose(log, HandMap(topic="/tf", frame="tcp"), TimeMap(), Path())
+        hand_pose(log, HandMap(topic="/tf", frame="tcp"), TimeMap(), Path(), 0.1)
 
 
 def test_a_joint_state_without_names_says_so():

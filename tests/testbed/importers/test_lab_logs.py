@@ -11,14 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from estimators.testing.recorded import load_block
-from testbed import HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
+from testbed import GRAVITY, HeftError, InvalidValueError, Rotate, Slide, load_object, preset, steady_windows
+from testbed.frames import rotation_matrix
 from testbed.importers.importer import import_trajectory
 from testbed.importers.logs import LogError
 from testbed.importers.mapping import Mapping
-from testbed.sensing.compensation import compensate
+from testbed.sensing.compensation import compensate, tool_pulls
 from testbed.trajectory import Phase, Trajectory, load_trajectory, save_trajectory
 from tests.fakes.lab_bench import (
     EPOCH,
@@ -130,6 +131,33 @@ def test_phases_can_be_given(tmp_path: Path):
     windows_agree(given, original, 0.05)
     with pytest.raises(LogError, match=r"\[\[phases\]\]"):
         import_csv(tmp_path, original)
+
+
+def test_a_stretch_of_a_log_is_zeroed_where_the_log_begins(tmp_path: Path):
+    """2 s at a tilted pose, in which the sensor was zeroed, 1 s to the trial's first pose, and the trial."""
+    original, resting, away = load_block("L2-own_weight").clean[3], 200, 300
+    assert original.tool is not None
+    rows = np.concatenate([np.zeros(away, dtype=int), np.arange(len(original.time_s))])
+    begun = {name: np.array(values) for name, values in series_of(original, rows).items()}
+    first = Rotation.from_quat(original.sensor_orientation[0], scalar_first=True)
+    home = Rotation.from_rotvec([0.3, 0.0, 0.0]) * first
+    part = np.concatenate([np.zeros(resting), np.linspace(0, 1, away - resting)])
+    turned = Slerp([0, 1], Rotation.concatenate([home, first]))(part)
+    begun["sensor_orientation"][:away] = turned.as_quat(scalar_first=True)
+    begun["tcp_velocity"][:away], begun["time_s"] = 0.0, np.arange(len(rows)) / 100
+    upright = np.array([[0.0, 0.0, GRAVITY]])
+    load = tool_pulls(original.tool, rotation_matrix(begun["sensor_orientation"]), upright)[:, 0]
+    begun["sensor_wrench"][:away] = load[:away]
+    begun["sensor_wrench"] += 1e-3 * np.random.default_rng(0).standard_normal((len(rows), 6)) - load[0]
+    longer = replace(original, **begun)
+    steady = [{**p, "from_s": p["from_s"] + 3.0, "to_s": p["to_s"] + 3.0} for p in phases_of(original)]
+    mapping = mapping_of(original, phases=[p for p in steady if p["phase"] == "steady"])
+    mapping["sensor"]["zeroed"] = True
+    whole = import_csv(tmp_path, longer, mapping)
+    stretch = import_csv(tmp_path, longer, mapping | {"logs": [{"file": "log.csv", "from_s": 3.0}]})
+    for one, other in zip(steady_windows(whole), steady_windows(stretch), strict=True):
+        assert_allclose(one.wrench, other.wrench, atol=0.02)
+        assert_allclose(one.since_tare, other.since_tare, atol=0.03)
 
 
 def test_mapped_stretches_have_the_speed_and_the_sense_of_the_action(turn: Trajectory, tmp_path: Path):

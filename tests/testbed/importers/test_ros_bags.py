@@ -236,7 +236,7 @@ def test_a_tree_of_transforms(bench: Bench, as_csv: Trajectory, tmp_path: Path):
     bag = bench.bag(tmp_path / "bag", "tf2_msgs/msg/TFMessage", "/tf", bench.tree, "MCAP")
     same(imported(bag / "bag.mcap", 'topic = "/tf"\nframe = "tool"'), as_csv)
     log, hand = open_messages(bag), HandMap(topic="/tf", frame="tool")
-    (_, position), turned = hand_pose(log, hand.model_copy(update={"base": "z"}), TimeMap(), tmp_path)
+    (_, position), turned = hand_pose(log, hand.model_copy(update={"base": "z"}), TimeMap(), tmp_path, 0.1)
     back = Rotation.from_quat(bench.links["z"][:, 3:]).inv()
     assert_allclose(position, back.apply((bench.links["tool"] - bench.links["z"])[:, :3]), atol=1e-12)
     assert (turned.inv() * back * Rotation.from_quat(bench.links["tool"][:, 3:])).magnitude().max() < 1e-12
@@ -259,6 +259,26 @@ def test_a_cycle_of_transforms_is_refused(tmp_path: Path):
     log = MessageLog(tmp_path, {"/tf": "tf2_msgs/TFMessage"}, lambda _: sent)
     said = no_pose(log, HandMap(topic="/tf", frame="tool"), {}, tmp_path)
     assert "hand.frame: a cycle of transforms (tool, x, tool); allowed: a tree" in said
+
+
+def test_no_pose_is_interpolated_where_a_transform_was_silent(tmp_path: Path):
+    """The wrist is silent for 2 s, the tool in it is not."""
+
+    def edge(parent: str, child: str, i: int) -> dict[str, Any]:
+        stamp = {"sec": i // 100, "nanosec": i % 100 * 10**7}
+        turned = {
+            "translation": {"x": i / 100, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }
+        return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": turned}
+
+    def sent(i: int) -> list[dict[str, Any]]:
+        return [edge("wrist", "tool", i), *([] if 200 < i < 400 else [edge("base", "wrist", i)])]
+
+    messages = [Message(10**7 * i, 10**7 * i, json.dumps({"transforms": sent(i)}).encode()) for i in range(600)]
+    log = MessageLog(Path("log.mcap"), {"/tf": "tf2_msgs/msg/TFMessage"}, lambda _: messages)
+    (stamps, _), _ = hand_pose(log, HandMap(topic="/tf", frame="tool"), TimeMap(), tmp_path, 0.1)
+    assert np.diff(stamps).max() == pytest.approx(2.0) and len(stamps) == 401
 
 
 def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Path):
@@ -291,7 +311,7 @@ def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Pat
 
 def no_pose(log: MessageLog, hand: HandMap, change: dict[str, Any], folder: Path) -> str:
     with pytest.raises(HeftError) as raised:
-        hand_pose(log, hand.model_copy(update=change), TimeMap(), folder)
+        hand_pose(log, hand.model_copy(update=change), TimeMap(), folder, 0.1)
     return str(raised.value)
 
 

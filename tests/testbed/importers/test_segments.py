@@ -14,8 +14,8 @@ from estimators.hidden_states.estimator import HiddenStates
 from estimators.testing.recorded import load_block
 from testbed import Accelerate, HeftError, InvalidValueError, Phase, Rotate, Slide, Trajectory, steady_windows
 from testbed.importers.logs import LogError
-from testbed.importers.mapping import LogMap
-from testbed.importers.phases import linear_stretches, phases_from_motion
+from testbed.importers.mapping import LogMap, PhaseWindow
+from testbed.importers.phases import linear_stretches, phases_from_motion, phases_from_windows
 from testbed.importers.segments import Segment, find_segments
 from tests.fakes.lab_bench import columns, entry_of, import_csv, imported, mapping_of, strung, write_csv, write_toml
 from tests.helpers.records import series_of
@@ -217,6 +217,15 @@ def test_a_zeroed_sensor_is_not_zeroed_again_after_the_motion():
     begun = np.pad(height, (100, 0), constant_values=0.05)
     phase, _ = phases_from_motion(slide, begun, np.pad(speed, ((100, 0), (0, 0))), zeroed=True)
     assert (phase[:100] == Phase.TARE).any() and (phase[600:] == Phase.TARE).any()
+    time = np.arange(600) / 100
+    mapped = [PhaseWindow(phase="steady", from_s=0.5, to_s=4.5), PhaseWindow(phase="tare", from_s=5.0, to_s=5.9)]
+    phase, _ = phases_from_windows(mapped, time, zeroed=True)
+    assert not (phase == Phase.TARE).any()
+    early = PhaseWindow(phase="tare", from_s=0.0, to_s=0.4)
+    phase, _ = phases_from_windows([early, *mapped], time, zeroed=True)
+    assert (phase == Phase.TARE).sum() == 40 + 90
+    with pytest.raises(LogError, match=r"tare at 0 to 0\.05 s; allowed: 0\.3 s or more"):
+        phases_from_windows([early.model_copy(update={"to_s": 0.05}), *mapped], time)
 
 
 WRENCH, POSE = [f"{kind}{a}" for kind in "ft" for a in "xyz"], ["px", "py", "pz", "qx", "qy", "qz", "qw"]

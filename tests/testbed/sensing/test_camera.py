@@ -133,6 +133,17 @@ def test_parts_that_are_seen_in_turn_are_drawn_each_by_its_own_frames():
     assert np.allclose(found, np.array([0.25, 0.7])[:, None, None])
 
 
+def test_joint_angles_of_parts_with_stamps_of_their_own_are_those_of_common_ones():
+    poses = np.full((600, 2, 3), np.nan)
+    for part in (0, 1):
+        poses[part::2, part] = np.column_stack([0 * TIME, 0 * TIME, (part + 1) * 0.3 * TIME])[part::2]
+    poses[200:230, 1] = np.nan
+    found = PoseStream(TIME, poses).joint_angles[:, 0]
+    measured = ~np.isnan(found)
+    assert not measured[205:225].any() and measured.sum() > 560
+    assert_allclose(found[measured], 0.3 * TIME[measured], atol=1e-9)
+
+
 @pytest.mark.parametrize("start", [-7.0, 3.1, 20.0])
 def test_whole_turns_of_a_yaw_change_nothing(start):
     yaw = start + 0.7 * TIME

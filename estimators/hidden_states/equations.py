@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimators.hidden_states.masses import friction_loads
@@ -36,6 +36,8 @@ class LinearSystem:
     b: Float[Tensor, "R"]
     whiten: Float[Tensor, "R R"]
     """Inverse root of the rows' covariance."""
+    idle: int = 0
+    """Number of rows that fit whatever the friction loads are."""
 
     @property
     def rank(self) -> int:
@@ -48,7 +50,7 @@ class LinearSystem:
 
     def misfit(self, s: Float[np.ndarray, "n_s"]) -> Misfit:
         """Misfit of fitted friction loads, N."""
-        freedom = len(self.b) - len(s)
+        freedom = len(self.b) - self.idle - len(s)
         return Misfit(self.loss(s) * len(self.b) / max(freedom, 1), freedom)
 
 
@@ -68,6 +70,8 @@ class FrictionEquations:
     """Effects of one standard deviation of each."""
     drag_rows: Float[Tensor, "K r P"]
     """Derivatives of the rows in the friction of each particle."""
+    idle: Int[Tensor, "K"]
+    """Number of rows of each window that fit whatever the friction loads are."""
     missing: Float[Tensor, "K r"]
     """Measured rows less those of the guessed masses and frictions, linearized about the likely errors, N and N m."""
 
@@ -100,7 +104,7 @@ class FrictionEquations:
         missing = every @ z - found.residual.unflatten(0, rows)
         b = q @ torch.tensor(friction_loads(shape, groups.pairs, at)) + missing
         covariance = covariance.unflatten(0, rows).unflatten(-1, rows)
-        return FrictionEquations(q, b, covariance, wide, unknowns, every, drag_rows, missing)
+        return FrictionEquations(q, b, covariance, wide, unknowns, every, drag_rows, on_table.idle, missing)
 
     def likely_errors(self, s: Float[np.ndarray, "n_s"]) -> Theta:
         """Most likely stated errors at some friction loads, N, each in its own unit, clipped to `LARGEST_ERROR`."""
@@ -125,6 +129,7 @@ class FrictionEquations:
             wide=wide,
             slopes=self.slopes[keep],
             drag_rows=self.drag_rows[keep],
+            idle=self.idle[keep],
             missing=self.missing[keep],
         )
 
@@ -135,7 +140,8 @@ class FrictionEquations:
         wide = torch.cat([self.q[..., :0], *self.wide.values()], -1).flatten(0, 1)
         axes, size, _ = torch.linalg.svd(whiten @ wide, full_matrices=False)
         whiten = whiten - (axes * (1 - (1 + size.square()).rsqrt())) @ (axes.T @ whiten)
-        return LinearSystem(whiten @ self.q.flatten(0, 1), whiten @ self.b.flatten(), whiten)
+        q, b = whiten @ self.q.flatten(0, 1), whiten @ self.b.flatten()
+        return LinearSystem(q, b, whiten, int(self.idle.sum()))
 
     def hinge_friction(self) -> tuple[Float[np.ndarray, "H"], Float[np.ndarray, "H"]] | None:
         """Friction torque of every hinge, N m, and its standard deviation; None for a rigid object.

@@ -177,14 +177,20 @@ class OnTable:
         return rows_of_planar(height, self.windows.hinges) @ planar
 
     @property
+    def idle(self) -> Int[Tensor, "K"]:
+        """Number of rows of each window that fit anyway.
+
+        The load of a fingertip, and the friction of a hinge at rest, may have any size.
+        """
+        free = len(PUSHED) * self.windows.pushed
+        return free + self.windows.standing.sum(1) if self.windows.articulated else free
+
+    @property
     def parts(self) -> list[Rows]:
         """One part a trial, in order; the windows of a trial are consecutive."""
-        windows = self.windows
-        trials, place, count = torch.unique_consecutive(windows.trial, return_inverse=True, return_counts=True)
-        # the load of a fingertip, and the friction of a hinge at rest, may have any size
-        free = len(PUSHED) * windows.pushed + (windows.standing.sum(1) if windows.articulated else 0)
-        idle = torch.zeros_like(count).index_add(0, place, free)
-        rows = ((6 + windows.hinges) * count).tolist()
+        trials, place, count = torch.unique_consecutive(self.windows.trial, return_inverse=True, return_counts=True)
+        idle = torch.zeros_like(count).index_add(0, place, self.idle)
+        rows = ((6 + self.windows.hinges) * count).tolist()
         return [Rows(WRENCHES, *each) for each in zip(rows, trials.tolist(), idle.tolist(), strict=True)]
 
     def linearized(self, unknowns: Unknowns, z: Float[Tensor, "n"]) -> Linearized:

@@ -454,7 +454,11 @@ class Posterior:
         found = np.concatenate([self.unknowns.values(self.mode)[name].numpy() for name in OBJECT]) * unit
         mass, friction = np.split(found, [groups])
         shares = friction_shares(shape)
-        bare = 1 - shares.sum(1)  # of a group that touches nothing, the mass takes the place of the drag
+        relative = np.hstack([np.diag(1 / mass), shares / np.maximum(shares @ friction, SMALLEST)[:, None]])
+        of_drag, of_mass = np.diag(relative @ covariance @ relative.T), np.diag(covariance)[:groups] / mass**2
+        # of a group that touches nothing, or whose mass is known better than its drag, the mass takes its place
+        shares[of_mass < of_drag] = 0.0
+        bare = 1 - shares.sum(1)
         along = shares @ friction + bare
         slopes = np.eye(len(found))
         slopes[:groups] = np.hstack([np.diag(along), mass[:, None] * shares])

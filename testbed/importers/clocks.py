@@ -130,7 +130,7 @@ def _regressors(position: np.ndarray, hand: Rotation) -> tuple[np.ndarray, np.nd
     def smooth(values: np.ndarray, order: int) -> np.ndarray:
         return gaussian_filter1d(values, _SMOOTHING * RATE, order=order, axis=0) * RATE**order
 
-    turned = (hand * hand[0].inv()).as_matrix()
+    turned = (hand * hand[len(hand) // 2].inv()).as_matrix()
     yaw = np.unwrap(np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1]))
     rate, acceleration = smooth(yaw, 1), smooth(yaw, 2)
     into = rotation_2d(-yaw)

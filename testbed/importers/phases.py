@@ -61,7 +61,7 @@ MOST_NAMED = 3
 """Largest number of spikes of a component whose times are listed."""
 _SHORTEST_LOG = 0.5
 """Shortest stretch that all columns of a log cover [s]: the duration of a push at 0.2 m/s."""
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 """Rounding of a difference of logged times [s]."""
 _PAUSE = 1.0
 """Gap from which an error suggests several trials, or another unit of time [s]."""
@@ -79,7 +79,7 @@ def common_base(series: Iterable[Series], longest_gap: float) -> Float[np.ndarra
     for one in series:
         gaps = np.diff(one.time_s)
         at, usual = int(np.argmax(gaps)), float(np.median(gaps))
-        if gaps[at] > longest_gap + _ROUNDING:
+        if gaps[at] > longest_gap + ROUNDING:
             silent = f"{gaps[at]:.3g}" if gaps[at] > 1.01 * longest_gap else f"{gaps[at]:.6g}"
             given = f"silent for {silent} s at {one.time_s[at] - one.time_s[0]:.2f} s"
             hint = "; several trials in one log: give from_s and to_s of each" if gaps[at] > _PAUSE else ""

@@ -14,6 +14,7 @@ from testbed.errors import InvalidValueError
 from testbed.importers.columns import CameraMap, Cell, HandMap, PartMap, PoseMap, TimeMap
 from testbed.importers.logs import LogError, Series, factor, in_order, unknown
 from testbed.importers.messages import JOINT_STATE, Message, MessageLog
+from testbed.importers.phases import ROUNDING
 from testbed.importers.tables import TableLog
 from testbed.importers.urdf import forward_kinematics, joints_to
 from testbed.sensing.series import interpolated, runs
@@ -77,7 +78,10 @@ def camera_pose(log: Log, field: str, part: PartMap, camera: CameraMap, time: Ti
         InvalidValueError: as `hand_pose`.
         LogError: values that are no pose, or a frame that does not lie on the table.
     """
-    series, marker = without_held(without_frozen(_pose(log, field, part, time, longest_gap)))
+    pose = _pose(log, field, part, time, longest_gap)
+    if isinstance(log, TableLog) and part.file is None:  # a row for every sample of the other streams too
+        pose = without_held(pose)
+    series, marker = without_frozen(pose)
     mount = Rotation.from_quat(camera.in_base_wxyz, scalar_first=True)
     place = mount.apply(series.values + marker.apply(part.object_m)) + camera.in_base_m
     turned = mount * marker * Rotation.from_quat(part.object_wxyz, scalar_first=True)
@@ -224,7 +228,8 @@ def _from_tree(log: MessageLog, field: str, of: PoseMap, time: TimeMap, longest_
     for edge in moving[1:]:
         after = np.searchsorted(edge.time_s, stamps).clip(1, len(edge.time_s) - 1)
         gap = edge.time_s[after] - edge.time_s[after - 1]
-        stamps = stamps[(gap <= longest_gap) | np.isin(stamps, edge.time_s)]
+        rests = _steps((Series(edge.time_s, edge.position), edge.rotation))[after - 1] == 0
+        stamps = stamps[(gap <= longest_gap + ROUNDING) | rests | np.isin(stamps, edge.time_s)]
     if len(stamps) < 2:
         spans = [(name, edges[name].time_s) for name in passed if len(edges[name].time_s) > 1]
         given = ", ".join(f"{name} at {one[0]:.2f} to {one[-1]:.2f} s" for name, one in spans)

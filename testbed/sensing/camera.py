@@ -114,13 +114,14 @@ class PoseStream:
         Parts may have stamps of their own: each is interpolated between neighboring frames.
         """
         yaw = self.at(self.time_s)[..., 2]
-        for part, seen in enumerate(~np.isnan(self.poses[..., 2]).T):
-            own = self.time_s[seen]
+        for part, measured in enumerate(~np.isnan(self.poses[..., 2]).T):
+            own, seen = self.time_s[measured], measured
             if len(own) > 1:
                 after = np.searchsorted(own, self.time_s).clip(1, len(own) - 1)
                 inside = (self.time_s >= own[0]) & (self.time_s <= own[-1])
                 near = inside & (own[after] - own[after - 1] <= LOST * np.median(np.diff(own)))
-                yaw[~(seen | near), part] = math.nan
+                seen = measured | near
+            yaw[~seen, part] = math.nan
         angle = np.diff(yaw, axis=1)
         for joint in range(self.parts - 1):  # each yaw may have whole turns of its own
             if (measured := ~np.isnan(angle[:, joint])).any():

@@ -199,8 +199,11 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
     planar = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
     planar = np.convolve(np.pad(planar, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-    tare = trajectory.mask(Phase.TARE)
-    force, free = planar[inside], planar[tare] if tare.any() else planar[: int(np.argmax(inside))]
+    force, free = planar[inside], planar[trajectory.mask(Phase.TARE)]
+    if not len(free):  # the quietest part of the way to the object
+        before, count = planar[: int(np.argmax(inside))], 2 * _SMOOTH
+        parts = [before[k : k + count] for k in range(0, len(before) - count + 1, count)]
+        free = min(parts, key=lambda part: float(np.quantile(part, 0.9)), default=before[:0])
     usual = np.quantile(force, 0.9)
     if not (force > TOUCHING * usual).any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")

@@ -396,6 +396,10 @@ def test_noise_is_no_contact_with_and_without_a_tare(phase):
     empty = replace(trial, phase=phases, segment=segment, wrench_on_object_world=noise)
     with pytest.raises(InvalidValueError, match="no force at the fingertip"):
         touching(empty)
+    step = np.arange(len(noise))  # in contact for 0.03 s before the steady stretch
+    phases, segment = np.where(step < 12, phase, trial.phase), np.where(step < 15, -1, trial.segment)
+    met = trial.wrench_on_object_world * (step[:, None] >= 12)
+    assert len(touching(replace(trial, phase=phases, segment=segment, wrench_on_object_world=met))) > 20
 
 
 @pytest.mark.slow

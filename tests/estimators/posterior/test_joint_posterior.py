@@ -363,6 +363,23 @@ def test_draws_keep_what_the_trials_show(support):
         assert drag.std() == pytest.approx(std, rel=0.1)
 
 
+@pytest.mark.slow
+def test_draws_keep_masses_that_are_better_known_than_their_friction():
+    """A slick part of an object in the air."""
+    model = drawn_object(0, friction_groups=2)
+    model = replace(model, truth=replace(model.truth, friction=np.array([0.5, 0.03])))
+    found = joint(model, [*turns(model, [0], noise=0.3), *(lifted(model, Lift(g, hold=1.4)) for g in (0, 1))])
+    mass, friction = found.draws(model.shape, 4000, 0)
+    answer = found.estimate(model.shape)
+    own = claimed(answer) * model.shape.particles_per_group
+    assert (
+        answer.distribution is not None and answer.diagnostics["friction_1_std"] > 0.3 * answer.distribution.friction[1]
+    )
+    assert_allclose(mass.std(0), own, rtol=0.1)
+    assert (np.abs(mass.mean(0) - answer.distribution.mass * model.shape.particles_per_group) < 0.15 * own).all()
+    assert friction[:, 0].std() == pytest.approx(answer.diagnostics["friction_0_std"], rel=0.15)
+
+
 def padded(error=0.0):
     """An object on four feet a block, and the offsets of its feet, of a standard deviation `error`, m."""
     plain, pads = drawn_object(2), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.018

@@ -172,6 +172,10 @@ def test_frames_that_a_faster_table_holds_count_once_and_a_rest_is_kept():
     moves = (series.time_s > 1.1) & (series.time_s < 3.0)
     assert np.median(np.diff(series.time_s[moves])) == pytest.approx(1 / 30, abs=0.004)
     assert (series.time_s < 1.0).sum() == 100 and len(turned) == len(series.time_s)
+    lost = np.where((time > 2.0) & (time < 2.4), 2.0, at)  # the last frame before is held for 0.4 s
+    moving = np.column_stack([0.1 * lost, np.zeros((400, 2))])
+    left = without_frozen(without_held((Series(time, moving), Rotation.identity(400))))[0].time_s
+    assert np.diff(left).max() > 0.35
 
 
 def test_a_rest_of_rounded_poses_is_no_lost_source():

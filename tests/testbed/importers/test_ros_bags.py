@@ -261,24 +261,31 @@ def test_a_cycle_of_transforms_is_refused(tmp_path: Path):
     assert "hand.frame: a cycle of transforms (tool, x, tool); allowed: a tree" in said
 
 
-def test_no_pose_is_interpolated_where_a_transform_was_silent(tmp_path: Path):
-    """The wrist is silent for 2 s, the tool in it is not."""
+def stamps_of_tool(above: dict[int, float]) -> np.ndarray:
+    """Stamps of a tool sent at 100 Hz for 6 s in a wrist sent at some of its samples, each at a place, m."""
 
-    def edge(parent: str, child: str, i: int) -> dict[str, Any]:
-        stamp = {"sec": i // 100, "nanosec": i % 100 * 10**7}
-        turned = {
-            "translation": {"x": i / 100, "y": 0.0, "z": 0.0},
-            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-        }
-        return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": turned}
+    def edge(parent: str, child: str, i: int, x: float) -> dict[str, Any]:
+        header = {"stamp": {"sec": i // 100, "nanosec": i % 100 * 10**7}, "frame_id": parent}
+        moved = {"translation": {"x": x, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        return {"header": header, "child_frame_id": child, "transform": moved}
 
-    def sent(i: int) -> list[dict[str, Any]]:
-        return [edge("wrist", "tool", i), *([] if 200 < i < 400 else [edge("base", "wrist", i)])]
+    def sent(i: int) -> bytes:
+        wrist = [edge("base", "wrist", i, above[i])] if i in above else []
+        return json.dumps({"transforms": [edge("wrist", "tool", i, i / 100), *wrist]}).encode()
 
-    messages = [Message(10**7 * i, 10**7 * i, json.dumps({"transforms": sent(i)}).encode()) for i in range(600)]
+    messages = [Message(10**7 * i, 10**7 * i, sent(i)) for i in range(600)]
     log = MessageLog(Path("log.mcap"), {"/tf": "tf2_msgs/msg/TFMessage"}, lambda _: messages)
-    (stamps, _), _ = hand_pose(log, HandMap(topic="/tf", frame="tool"), TimeMap(), tmp_path, 0.1)
+    return hand_pose(log, HandMap(topic="/tf", frame="tool"), TimeMap(), Path(), 0.1)[0].time_s
+
+
+def test_no_pose_is_interpolated_where_a_transform_was_silent():
+    stamps = stamps_of_tool({i: i / 100 for i in range(600) if not 200 < i < 400})
     assert np.diff(stamps).max() == pytest.approx(2.0) and len(stamps) == 401
+
+
+@pytest.mark.parametrize(("every", "moves", "kept"), [(10, True, 591), (100, False, 501), (20, True, 30)])
+def test_a_transform_that_rests_has_no_gaps(every: int, moves: bool, kept: int):
+    assert len(stamps_of_tool({i: i / 100 if moves else 0.5 for i in range(0, 600, every)})) == kept
 
 
 def test_joint_states_and_a_urdf(bench: Bench, as_csv: Trajectory, tmp_path: Path):

@@ -142,6 +142,8 @@ def test_joint_angles_of_parts_with_stamps_of_their_own_are_those_of_common_ones
     measured = ~np.isnan(found)
     assert not measured[205:225].any() and measured.sum() > 560
     assert_allclose(found[measured], 0.3 * TIME[measured], atol=1e-9)
+    poses[:, 1] = np.where(np.arange(600)[:, None] == 301, poses[:, 1], np.nan)
+    assert (~np.isnan(PoseStream(TIME, poses).joint_angles)).sum() == 1
 
 
 @pytest.mark.parametrize("start", [-7.0, 3.1, 20.0])

@@ -145,7 +145,7 @@ class Posterior:
 
     @cached_property
     def mode(self) -> Float[Tensor, "n"]:
-        """`optimum.z` with an only friction at the mode of its marginal density.
+        """`optimum.z` with a single friction at the mode of its marginal density.
 
         `optimum` is the mode of the joint density. A friction scales the effects of masses and nuisances, and with them
         the volume that the measurements leave to them; the slope of its logarithm moves the mode by up to a standard
@@ -235,8 +235,8 @@ class Posterior:
     def freedom(self) -> int:
         """Rows that count less masses and frictions.
 
-        All rows where masses that are taken as known are as many: whether they were fitted to these trials or not, a
-        misfit of few rows is then no chance.
+        All rows count where masses are given and none would be left: if the masses were not fitted to them, a large
+        misfit is not by chance.
         """
         rows, known = sum(rows.counted for rows, _ in self._measured), not self.unknowns.blocks["mass"].std.any()
         free = rows - int(self.of_object.sum())

@@ -22,6 +22,8 @@ SPAN = 0.8
 """Time span of a polynomial's frames [s]: errors of 1 mm and 0.5 deg at 30 Hz become some 1 mm/s and 0.5 deg/s."""
 LEAST_FRAMES = 7
 """Least number of frames of a polynomial, and its number of frames of an exact camera."""
+NEXT = 1.5
+"""Distance of two frames, over the median, below which no frame between them was lost."""
 LOST = 2.5
 """Time between two frames, as a multiple of the median, from which frames were lost. Ours."""
 
@@ -119,7 +121,7 @@ class PoseStream:
             if len(own) > 1:
                 after = np.searchsorted(own, self.time_s).clip(1, len(own) - 1)
                 inside = (self.time_s >= own[0]) & (self.time_s <= own[-1])
-                near = inside & (own[after] - own[after - 1] <= LOST * np.median(np.diff(own)))
+                near = inside & (own[after] - own[after - 1] < NEXT * np.median(np.diff(own)))
                 seen = measured | near
             yaw[~seen, part] = math.nan
         angle = np.diff(yaw, axis=1)

@@ -38,6 +38,8 @@ NOISE = 2.0
 """Least force of a push, over that of a tare; below it there is no contact."""
 _SMOOTH = 5
 """Samples of the moving average of the force."""
+_QUIET = 1.63
+"""Mean length of `_SMOOTH` vectors in the plane, of unit noise, that nine in ten do not exceed."""
 
 
 @reduced_once
@@ -199,13 +201,14 @@ def touching(trajectory: Trajectory) -> Int[np.ndarray, "N"]:
         raise InvalidValueError("trajectory", "no steady stretch", "a push")
     planar = np.linalg.norm(trajectory.wrench_on_object_world[:, :2], axis=1)
     planar = np.convolve(np.pad(planar, _SMOOTH // 2, mode="edge"), np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-    force, free = planar[inside], planar[trajectory.mask(Phase.TARE)]
-    if not len(free):  # the quietest part of the way to the object
-        before, count = planar[: int(np.argmax(inside))], 2 * _SMOOTH
-        parts = [before[k : k + count] for k in range(0, len(before) - count + 1, count)]
-        free = min(parts, key=lambda part: float(np.quantile(part, 0.9)), default=before[:0])
+    force, tare = planar[inside], planar[trajectory.mask(Phase.TARE)]
+    if len(tare):
+        noise = float(np.quantile(tare, 0.9))
+    else:  # that of white noise as large as the scatter from sample to sample
+        steps = np.diff(trajectory.wrench_on_object_world[inside, :2], axis=0)
+        noise = _QUIET * float(np.sqrt(np.square(steps).mean() / 2))
     usual = np.quantile(force, 0.9)
-    if not (force > TOUCHING * usual).any() or (len(free) and usual < NOISE * np.quantile(free, 0.9)):
+    if not (force > TOUCHING * usual).any() or usual < NOISE * noise:
         raise InvalidValueError("trajectory", "no force at the fingertip", "a push that meets the object")
     return max(runs(inside & (planar > TOUCHING * usual)), key=len)
 

@@ -17,11 +17,11 @@ from estimators.base import Estimate
 from estimators.identifiability.report import hardly_known, identifiability
 from estimators.particles.links import hinge_frictions
 from estimators.particles.misfit import CHANCE, UNEXPLAINED, Misfit
+from estimators.posterior.draws import draws_of
 from estimators.posterior.on_table import WRENCHES, OnTable
 from estimators.posterior.priors import unlevel
 from estimators.posterior.solver import ROUNDS, Linearized, Measurement, Optimum, Rows, Whitened, joined, solve
 from estimators.posterior.unknowns import SMALLEST, Unknowns
-from estimators.support_models.polytope import MassPolytope
 from estimators.wrench.model import MODEL_PARAMETERS
 from testbed.objects.model import MassDistribution, ObjectShape
 from testbed.worlds.setup_errors import PARAMETERS
@@ -444,36 +444,12 @@ class Posterior:
     def draws(self, shape: ObjectShape, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Draws of the groups' masses, kg, (count, n_m), and of the frictions, (count, n_mu).
 
-        The trials show products of masses and frictions: those of each group are normal, cut at 0, and the frictions
-        log-normal, with the values and covariance found, widened by the misfit. Masses are then scaled to a draw of M,
-        and frictions inversely, which keeps the products.
+        The covariance is widened by the misfit; see `estimators.posterior.draws.draws_of`.
         """
-        own, rng, groups = self.of_object, np.random.default_rng(seed), shape.n_m
-        unit = np.concatenate([shape.particles_per_group, np.ones(shape.n_mu)])
+        own, unit = self.of_object, np.concatenate([shape.particles_per_group, np.ones(shape.n_mu)])
         covariance = (self.covariance[own][:, own] * self.explained.widening).numpy() * np.outer(unit, unit)
         found = np.concatenate([self.unknowns.values(self.mode)[name].numpy() for name in OBJECT]) * unit
-        mass, friction = np.split(found, [groups])
-        shares = friction_shares(shape)
-        relative = np.hstack([np.diag(1 / mass), shares / np.maximum(shares @ friction, SMALLEST)[:, None]])
-        of_drag, of_mass = np.diag(relative @ covariance @ relative.T), np.diag(covariance)[:groups] / mass**2
-        # of a group that touches nothing, or whose mass is known better than its drag, the mass takes its place
-        shares[of_mass < of_drag] = 0.0
-        bare = 1 - shares.sum(1)
-        along = shares @ friction + bare
-        slopes = np.eye(len(found))
-        slopes[:groups] = np.hstack([np.diag(along), mass[:, None] * shares])
-        slopes[groups:, groups:] = np.diag(1 / friction)
-        spread, drag = slopes @ covariance @ slopes.T, along * mass
-        white = np.linalg.inv(np.linalg.cholesky(spread[:groups, :groups]))
-        drags = MassPolytope(white, white @ drag).draws(count, seed)
-        onto = white.T @ white @ spread[:groups, groups:]
-        left = spread[groups:, groups:] - spread[groups:, :groups] @ onto
-        own_scatter = rng.multivariate_normal(np.zeros(shape.n_mu), left, count, method="eigh")
-        frictions = friction * np.exp((drags - drag) @ onto + own_scatter)
-        masses = drags / (frictions @ shares.T + bare)
-        whole = rng.normal(mass.sum(), math.sqrt(covariance[:groups, :groups].sum()), (count, 1))
-        scale = whole / masses.sum(1, keepdims=True)
-        return masses * scale, frictions / scale
+        return draws_of(shape, found, covariance, count, seed)
 
     def nuisances(self) -> dict[str, float]:
         """Values and standard deviations, SI units, of the nuisances of at most `MOST_NUMBERS` numbers, by name.
@@ -499,11 +475,3 @@ class Posterior:
             return {}, ""
         torque, std = self.of("hinge_friction")
         return hinge_frictions(torque.tolist(), std.tolist(), self.explained.widening**0.5)
-
-
-def friction_shares(shape: ObjectShape) -> Float[np.ndarray, "n_m n_mu"]:
-    """Part of each group's feet that has each friction; zeros of a group without feet."""
-    feet = shape.friction_group >= 0
-    count = np.zeros((shape.n_m, shape.n_mu))
-    np.add.at(count, (shape.mass_group[feet], shape.friction_group[feet]), 1.0)
-    return count / np.maximum(count.sum(1, keepdims=True), 1.0)

@@ -269,6 +269,7 @@ def test_of_two_trials_that_contradict_each_other_none_is_named():
     assert not found.misfit.explains and found.odd_trial is None
 
 
+@pytest.mark.slow
 def test_of_a_wrong_turn_and_a_right_one_that_shows_nothing_alone_none_is_named():
     (steady,), (swung,) = turns(OBJECT, [0], noise=0.1), accelerated(OBJECT, [1], noise=0.1)
     wrong = replace(steady, wrench_on_object_world=1.5 * steady.wrench_on_object_world)

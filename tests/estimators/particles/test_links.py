@@ -387,6 +387,7 @@ def test_a_fast_push_has_windows_over_as_long_a_way(speed):
     assert (np.abs(off) < [0.03, 0.03, 0.1] * np.abs(measured[inside]).max(axis=0)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.TARE, Phase.APPROACH])
 def test_noise_is_no_contact_with_and_without_a_tare(phase):
     (trial,) = analytic_pushes(BLOCKS, [Push((0.05, -0.01), math.radians(-160))])

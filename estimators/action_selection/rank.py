@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -174,12 +173,11 @@ def held_out_turns(shape: ObjectShape, grasps: Sequence[int], count: int, durati
         duration: time of each [s].
         seed: seed of the draw.
     """
-    turns, made = [], Counter[int]()
+    turns = []
     for index in range(count):
         grasp = _drawn(grasps, index, [seed, 3])
         order = np.random.default_rng([seed, 4, grasp]).permutation(2 * len(HELD_OUT_SIDES))
-        side, backward = divmod(int(order[made[grasp] % len(order)]), 2)
-        made[grasp] += 1
+        side, backward = divmod(int(order[index // len(grasps) % len(order)]), 2)
         place = shape.grasps[grasp].position
         away = shape.cell if between_particles(shape, place) is None else shape.cell / 2
         x, y = place + away * np.array(HELD_OUT_SIDES[side])

@@ -159,7 +159,7 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
     misfit = trials.misfit(at, s)
     covariance = misfit.widening * report.covariance / np.outer(count, count)
     loose = hardly_known(trials.shape, at.mass, covariance) if misfit.explains and not open_ else ""
-    condition = float(np.linalg.cond(q / np.linalg.norm(q, axis=0)))
+    numbers = {"rank": q.shape[1], "condition": float(np.linalg.cond(q / np.linalg.norm(q, axis=0))), "loss": loss}
     directions = f"mass and friction cannot be told apart in {open_} direction(s): {'; '.join(report.unobservable)}"
     torque, std = trials.friction_equations(at).hinge_friction() or ((), ())
     widening = misfit.widening**0.5
@@ -174,11 +174,6 @@ def _estimate_of(trials: TrialWindows, found: Solution) -> Estimate:
         hidden=found.H,
         identifiability=report,
         traces=found.traces,
-        diagnostics={
-            **{"rank": q.shape[1], "condition": condition, "loss": loss},
-            **misfit.diagnostics,
-            **frictions,
-            **hinges,
-        },
+        diagnostics=numbers | misfit.diagnostics | frictions | hinges,
         assumes=ASSUMPTION["own_weight"],
     )

@@ -65,7 +65,9 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
     if not windows:
         return None
     wrench = np.array([w.wrench for w in windows])
-    stated = np.array([trajectories[index].sensor_bias_std for index in trial])
+    from_sensor = np.array([w.from_sensor for w in windows])
+    std = np.array([trajectories[index].sensor_bias_std for index in trial])
+    stated = np.einsum("kij,kj,klj->kil", from_sensor, std**2, from_sensor)
     noise, bias = _pooled(windows, stated, np.array(trial), np.array(accelerated))
     to_load = np.array([load_map(w.tcp_height) for w in windows])
     drift = np.array([w.drift_covariance for w in windows])
@@ -84,7 +86,6 @@ def _observed(shape: ObjectShape, trajectories: tuple[Trajectory, ...], errors: 
         links=shape.chain is not None,
     )
     motion = Motion.of(shape, windows, trial, accelerated)
-    from_sensor = np.array([w.from_sensor for w in windows])
     values: dict[str, np.ndarray] = {
         "wrench": wrench[:, PLANAR],
         "sensed": np.linalg.solve(from_sensor, wrench[..., None])[..., 0],
@@ -118,15 +119,13 @@ def _pooled(
     """Covariance of the means by noise, and of the bias that the tare leaves, (K, 6, 6).
 
     Accelerated windows are short, and an accelerated arm swings: their noise density is that of the windows of constant
-    speed, where there are any. The tares' own noise is averaged over the trials; `stated` is the standard deviation of
-    each window's bias in the sensor's axes, (K, 6).
+    speed, where there are any. The tares' own noise is averaged over the trials; `stated` is the covariance of each
+    window's bias without it, (K, 6, 6).
     """
     length = np.array([np.ptp(w.since_tare) for w in windows])[:, None, None]
     density = np.array([w.covariance for w in windows]) * length
     quiet = accelerated if accelerated.all() else ~accelerated
     pooled = np.where(accelerated[:, None, None], density[quiet].mean(axis=0), density)
-    from_sensor = np.array([w.from_sensor for w in windows])
-    bias = np.einsum("kij,kj,klj->kil", from_sensor, stated**2, from_sensor)
-    own = np.array([w.bias_covariance for w in windows]) - bias
+    own = np.array([w.bias_covariance for w in windows]) - stated
     first = np.unique(trial, return_index=True)[1]
-    return pooled / length, bias + own[first].mean(axis=0)
+    return pooled / length, stated + own[first].mean(axis=0)

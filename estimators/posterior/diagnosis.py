@@ -157,21 +157,19 @@ def _with_odd_trial(
     """Diagnosis with the odd trial, if the others agree without exactly one trial."""
     if diagnosis.misfit.explains:
         return diagnosis
-    agreeing = dict[int, float]()
+    agreeing = dict[int, Misfit | None]()
     for trial in diagnosis.trials:
         others = [each for place, each in enumerate(trajectories) if place != trial]
         rest = posterior_of(shape, weight, others, support)
         fitted()
-        if rest is None or rest.freedom < 1:  # nothing is left that could disagree: the trial stays a suspect
-            agreeing[trial] = math.inf
-        elif rest.explained.by_chance:
-            agreeing[trial] = rest.explained.value
+        # where nothing is left that could disagree, the trial stays a suspect
+        misfit = None if rest is None or rest.freedom < 1 else rest.explained
+        if misfit is None or misfit.by_chance:
+            agreeing[trial] = misfit
     if len(agreeing) != 1:
         return diagnosis
-    ((trial, value),) = agreeing.items()
-    if math.isinf(value):
-        return diagnosis
-    return replace(diagnosis, odd_trial=trial, without=value)
+    ((trial, misfit),) = agreeing.items()
+    return diagnosis if misfit is None else replace(diagnosis, odd_trial=trial, without=misfit.value)
 
 
 def _ranked_causes(

@@ -57,4 +57,4 @@ def friction_shares(shape: ObjectShape) -> Float[np.ndarray, "n_m n_mu"]:
     feet = shape.friction_group >= 0
     count = np.zeros((shape.n_m, shape.n_mu))
     np.add.at(count, (shape.mass_group[feet], shape.friction_group[feet]), 1.0)
-    return count / np.maximum(count.sum(1, keepdims=True), 1.0)
+    return count / np.maximum(shape.feet_per_group, 1)[:, None]

@@ -82,16 +82,12 @@ class Part:
     """True for rows, False for a nuisance."""
 
     @staticmethod
-    def of(name: str, values: Float[Tensor, "m"], trial: int | None = None) -> Part:
-        """Nuisance with some values of z."""
-        square = float(values.square().sum())
-        return Part(name, square / len(values), log_chance(square, len(values)), trial)
-
-    @staticmethod
-    def of_measured(rows: Rows, residual: Float[Tensor, "m"]) -> Part:
-        """Rows with a whitened residual."""
-        square = float(residual.square().sum())
-        return Part(rows.name, square / rows.counted, log_chance(square, rows.counted), rows.trial, of_rows=True)
+    def of(
+        name: str, values: Float[Tensor, "m"], trial: int | None = None, *, idle: int = 0, of_rows: bool = False
+    ) -> Part:
+        """Part that consists of some whitened values, `idle` of which do not count."""
+        square, count = float(values.square().sum()), len(values) - idle
+        return Part(name, square / count, log_chance(square, count), trial, of_rows)
 
     @property
     def sentence(self) -> str:
@@ -255,7 +251,10 @@ class Posterior:
         A nuisance that is drawn in each trial has a part for each. One of a single number is compared with the scatter
         that its estimate has by the prior: far below 1 where the measurements show little of it.
         """
-        found = [Part.of_measured(rows, self.optimum.residual[where]) for rows, where in self._measured]
+        found = [
+            Part.of(rows.name, self.optimum.residual[where], rows.trial, idle=rows.idle, of_rows=True)
+            for rows, where in self._measured
+        ]
         on_table = [rows.trial for rows, _ in self._measured if rows.name == WRENCHES]
         for name, block in self.unknowns.blocks.items():
             if name in OBJECT:

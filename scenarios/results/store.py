@@ -66,9 +66,10 @@ def _digest(data: bytes) -> str:
 
 def trial_request(trial: Trial, settings: RunnerSettings) -> dict[str, Any]:
     """All that determines a physical trial, as plain data, without the sensing, which is drawn afterwards."""
-    drawn: dict[str, Any] = {} if trial.world is None else {"world": trial.world.request(trial.object)}
-    if trial.world is None and trial.seed:
-        drawn["seed"] = trial.seed
+    if trial.world is not None:
+        drawn: dict[str, Any] = {"world": trial.world.request(trial.object)}
+    else:
+        drawn = {"seed": trial.seed} if trial.seed else {}
     return drawn | {
         "schema": SCHEMA_VERSION,
         "assets": _asset_hash(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -82,6 +81,9 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         grasp = model.shape.grasps[action.grasp]
         yaw, grip = closing_yaw(hand, table.hand) - grasp.angle, grasp.position
     in_hand = Rotation.from_quat(table.sensor.in_hand_wxyz, scalar_first=True)
+    zeroed = (streams.begin_hand * in_hand).as_quat(scalar_first=True) if table.sensor.zeroed else None
+    figures = {"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {}
+    figures |= {} if zeroed is None else {ZEROED_BEFORE: float(base[0]) - streams.begin_s}
     tool, since_1970 = table.tool, _SINCE_1970[0] < begin < _SINCE_1970[1]
     origin = {
         "runner": "import",
@@ -117,13 +119,8 @@ def import_trajectory(log: Path, mapping: Path, delay: Delay | None = None, entr
         setup=table.setup,
         camera=streams.camera(table, base),
         provenance={name: words for name, words in origin.items() if words is not None},
-        figures={"wrench_delay_s": delay.seconds, "wrench_delay_std_s": delay.std} if delay else {},
+        figures=figures,
     )
-    zeroed = None
-    if table.sensor.zeroed:
-        zeroed = (streams.begin_hand * in_hand).as_quat(scalar_first=True)
-        before = {ZEROED_BEFORE: float(base[0]) - streams.begin_s}
-        trajectory = replace(trajectory, figures=trajectory.figures | before)
     trajectory = with_camera_poses(compensate(trajectory, zeroed))
     if doubt := frame_mismatch(trajectory, model.shape):
         raise LogError(f"camera: {doubt}; {_CAMERA_REMEDY}")

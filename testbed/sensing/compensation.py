@@ -20,8 +20,6 @@ SMOOTHING = 0.1
 """Time over which the hand's velocity is differentiated [s]."""
 UNEVEN = 0.01
 """Part of a step by which samples may lie off even times: beyond, they are interpolated."""
-
-
 ZEROED_BEFORE = "zeroed_before_s"
 """Figure of a record without a tare: time from the zeroing of its sensor to its first sample [s]."""
 

@@ -320,9 +320,8 @@ def _sources_table(rows: Sequence[Row], axis: str, title: str) -> Table:
     """Table of a setting of words: values down, methods across; median NAD over objects, error over claimed error."""
     methods, lines = methods_of(rows), []
     for value in axis_values(rows, axis):
-        cells = []
+        own, cells = [row for row in rows if row.get(axis) == value], []
         for method in methods:
-            own = [row for row in rows if row.get(axis) == value]
             claims, nad = Claims.of([row for row in own if row["method"] == method]), _over_objects(own, method)
             cells.append(replace(nad, text=nad.text + (f" ({claims.ratio:.1f})" if claims else "")))
         lines.append(((str(value),), tuple(cells)))

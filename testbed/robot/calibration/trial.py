@@ -150,16 +150,20 @@ def _of_flip(there: SteadyWindow, back: SteadyWindow) -> Finding:
     reversing, constant = ((there.wrench[5] + side * back.wrench[5]) / 2 for side in (-1, 1))
     error = float(np.sqrt(there.covariance[5, 5] + back.covariance[5, 5]) / 2)
     ratio = float(abs(constant)) / max(float(abs(reversing)), 1e-9)
-    lasting = back.bias_covariance + abs(back.since_tare.mean()) * back.drift_covariance  # as the sensor states it
-    tare_error = float(np.sqrt(lasting[5, 5]))
+    tare_error = float(np.sqrt(_error_since_tare(back)[5, 5]))
     ok = abs(constant) <= BIAS_ALLOWED * abs(reversing) + SIGNIFICANT * math.hypot(error, tare_error)
     text = f"turned there and back, {reversing:.4f} N m flips and {constant:.4f} +- {error:.4f} N m stays"
     return judged("there and back", ok, ratio, text, "a bias that the tare left, or a cable that pulls")
 
 
+def _error_since_tare(window: SteadyWindow) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a window's mean wrench by bias and drift, as the sensor states them."""
+    return window.bias_covariance + abs(window.since_tare.mean()) * window.drift_covariance
+
+
 def _error_of_mean(window: SteadyWindow) -> Float[np.ndarray, "6 6"]:
     """Covariance of a window's mean wrench by noise, bias and drift."""
-    return window.covariance + window.bias_covariance + abs(window.since_tare.mean()) * window.drift_covariance
+    return window.covariance + _error_since_tare(window)
 
 
 def _of_slide(window: SteadyWindow, setup: SetupErrors) -> Finding:

@@ -95,6 +95,15 @@ def draws_of(rows: Iterable[Row], column: str, scale: float = 1.0) -> dict[int, 
     return {row["seed"]: np.nan if row.get(column) is None else scale * row[column] for row in rows}
 
 
+def object_means(rows: Sequence[Row], method: str | None, column: str, scale: float) -> dict[int, float]:
+    """Mean over draws and swept settings by index of the object, NaN without an answer; over all methods for None."""
+    values: dict[str, list[float]] = {row["object"]: [] for row in rows}
+    for row in rows:
+        if method in (None, row["method"]) and row[column] is not None:
+            values[row["object"]].append(scale * row[column])
+    return {i: float(np.mean(v)) if v else np.nan for i, v in enumerate(values.values())}
+
+
 def summarize(draws: Draws) -> Summary | None:
     """Summary of draws; None where no draw has an answer."""
     values = np.array(list(draws.values()), dtype=float)

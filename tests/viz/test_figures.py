@@ -154,7 +154,14 @@ def test_wrench_fits_show_measured_predicted_band_and_what_is_off():
 
 def test_nad_against_a_setting_alone():
     rows = [
-        {"method": m, "kind": m, "nad": base * k * (1 + 0.01 * seed), "seed": seed, "axis.truth.friction": k / 10}
+        {
+            "object": "L2",
+            "method": m,
+            "kind": m,
+            "nad": base * k * (1 + 0.01 * seed),
+            "seed": seed,
+            "axis.truth.friction": k / 10,
+        }
         for m, base in (("a", 0.01), ("b", 0.2))
         for k in (1, 2, 4)
         for seed in (0, 1, 2)
@@ -175,7 +182,7 @@ def test_nad_against_a_setting_alone():
 def test_nad_at_each_of_many_words_has_a_line_a_word():
     words = [f"source {k}" for k in range(12)]
     rows = [
-        {"method": m, "kind": m, "nad": base * (k + 1), "seed": 0, "axis.world.only": word}
+        {"object": "L2", "method": m, "kind": m, "nad": base * (k + 1), "seed": 0, "axis.world.only": word}
         for m, base in (("a", 0.01), ("b", 0.02))
         for k, word in enumerate(words)
     ]

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from estimators.evaluation import paper
+from estimators.evaluation.statistics import object_means
 from scenarios.results.files import write_json
 from scenarios.results.store import write_arrays
 from scenarios.results.table import write_rows
@@ -26,7 +27,6 @@ from viz.report.tables import (
     hidden_table,
     metric_table,
     metrics_of,
-    object_means,
     over_objects,
     overview,
     points_of,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from statistics import fmean
 
 import matplotlib as mpl
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.axis import XAxis, YAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from estimators.evaluation.statistics import AXIS, Row, axis_values, methods_of
+from estimators.evaluation.statistics import AXIS, Row, axis_values, methods_of, object_means, select
 from viz.style import DASHES, MARKERS, PALETTE, STYLE, bare, plain_numbers
 
 BEYOND = 1.5
@@ -110,13 +109,7 @@ def _quartiles(rows: Sequence[Row], axis_column: str, values: Sequence[object]) 
 
     Each object counts once, with the mean over its draws.
     """
-    found = []
-    for value in values:
-        objects: dict[str | None, list[float]] = {}
-        for row in rows:
-            if row.get(axis_column) == value:
-                objects.setdefault(row.get("object"), []).append(100 * row["nad"])
-        found.append([fmean(nads) for nads in objects.values()])
+    found = [[*object_means(select(rows, **{axis_column: value}), None, "nad", 100.0).values()] for value in values]
     present = np.flatnonzero([len(each) > 0 for each in found])
     return present, np.reshape([np.quantile(found[i], (0.25, 0.5, 0.75)) for i in present], (-1, 3)).T
 

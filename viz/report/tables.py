@@ -21,6 +21,7 @@ from estimators.evaluation.statistics import (
     axis_values,
     draws_of,
     methods_of,
+    object_means,
     select,
     significantly_best,
     summarize,
@@ -221,15 +222,6 @@ def over_objects(rows: Sequence[Row], metric: Metric, title: str) -> Table:
         lines.append(((TRUTH,), _quantiles(truth, "", best=False)))
     title = _counted(title, map(len, means.values()), "object")
     return Table(title, ("mean", "10\u00a0%", "median", "90\u00a0%", "worst"), tuple(lines), folded=metric.folded)
-
-
-def object_means(rows: Sequence[Row], method: str | None, column: str, scale: float) -> dict[int, float]:
-    """Mean over draws and swept settings by index of the object, NaN without an answer; over all methods for None."""
-    values: dict[str, list[float]] = {row["object"]: [] for row in rows}
-    for row in rows:
-        if method in (None, row["method"]) and row[column] is not None:
-            values[row["object"]].append(scale * row[column])
-    return {i: float(np.mean(v)) if v else np.nan for i, v in enumerate(values.values())}
 
 
 def _quantiles(objects: Draws, missing: str, *, best: bool) -> tuple[Entry, ...]:

@@ -76,7 +76,7 @@ def diagnosed(job: tuple[str, int], seed: int) -> Found:
     obj, setup = drawn(index, seed, "random"), LAB
     if fault != NONE:
         setup = replace(LAB, **{fault: ENLARGED * getattr(LAB, fault)})
-    rng = OfSize(np.random.PCG64([seed, index]))
+    rng = OfSize(np.random.PCG64([seed, index, 1]))  # draws apart from those of the object
     made, weight = trials(obj, "random", setup, LAB, rng)
     found = diagnose(obj.shape, weight, made)
     assert found is not None

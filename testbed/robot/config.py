@@ -264,6 +264,13 @@ class RobotFile(Strict):
     limits: LimitsTable = LimitsTable()
     setup: StatedSetup = UNSTATED
 
+    @model_validator(mode="after")
+    def _box_is_over_the_table(self) -> Self:
+        if self.limits.low_m[2] < (top := self.bench.table_height_m):
+            allowed = f"z of {top:g} m or more, bench.table_height_m: the tool must not reach below the table's top"
+            raise InvalidValueError("limits.low_m", self.limits.low_m, allowed)
+        return self
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a record; a device's name, settings and sizes only where they differ from the defaults."""
         unused = {"setup": self.setup == UNSTATED, "camera": self.camera.model is None}

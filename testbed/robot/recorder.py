@@ -16,11 +16,9 @@ from testbed.robot.camera.interface import ObjectCamera, SeenFrame
 from testbed.robot.camera.watch import CameraWatch
 from testbed.robot.interfaces import Arm, ArmState, RobotError, WrenchSample, WrenchSensor
 from testbed.robot.raw_record import RawRecord
+from testbed.sensing.compensation import SMOOTHING
 from testbed.sensing.series import interpolated, runs
 from testbed.trajectory import Phase, Status
-
-_SMOOTHING = 11
-"""Window over which the hand's velocity is smoothed [feedbacks]: 0.1 s, as in the compensation of the tool."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +197,8 @@ def _velocity(time: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.nd
     linear = (position[after] - position[before]) / step
     angular = (_rotation(turn[after]) * _rotation(turn[before]).inv()).as_rotvec() / step
     rates = np.hstack([linear, angular])
-    return np.asarray(savgol_filter(rates, _SMOOTHING, 2, axis=0)) if len(time) > _SMOOTHING else rates
+    window = 2 * max(round(SMOOTHING * last / (time[-1] - time[0]) / 2), 1) + 1 if last else 1
+    return np.asarray(savgol_filter(rates, window, 2, axis=0)) if len(time) > window else rates
 
 
 def _longest_gap(time: np.ndarray, begin: float, end: float) -> float:

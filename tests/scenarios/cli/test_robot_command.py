@@ -417,6 +417,7 @@ def test_a_robot_file_names_its_errors(folder):
             "[limits]\nlow_m = [0.6, -0.3, 0.1]\nhigh_m = [0.3, 0.3, 0.3]",
             r"limits.*high_m: got \[0\.3, .*; allowed: a corner beyond low_m",
         ),
+        ("[bench]\ntable_height_m = 0.1", r"limits\.low_m: got \[0\.25, .*; allowed: z of 0\.1 m or more"),
         ("[limits]\nforce_n = 3\n[bench]\ntare_s = 0", r"(?s)bench\.tare_s.*limits\.force_n.*force_N"),
     ):
         (folder / "mine.toml").write_text(text, encoding="utf-8")

@@ -59,7 +59,9 @@ def priors(
     if uneven:
         # the variance of a pattern over n points, spread over the points of the model
         patterns = ContactPatterns.of(model, model.points(spread=True))
-        size = (uneven / patterns.count.clamp(min=1)).sqrt()[:, None].repeat(1, patterns.radial.shape[-1])
+        count = patterns.count.clamp(min=1)
+        points = count if model.stands_on_feet else setup.contact_points
+        size = (uneven / points / count).sqrt()[:, None].repeat(1, patterns.radial.shape[-1])
         size[:, :2] *= 0.0 if model.stands_on_feet else LEAN
         blocks[pattern] = Block.normal(size)
         if not model.stands_on_feet:
@@ -101,9 +103,9 @@ def unevenness(setup: SetupErrors, model: ParticleModel) -> tuple[str, float]:
     body's points.
 
     Returns:
-        Name of the error; and variance of a load, relative to an even share, over the number of points, 0 if known.
+        Name of the error, and variance of a load relative to an even share, 0 if known.
     """
     if model.stands_on_feet:
-        return "foot_load", setup.foot_load**2 * len(model.parts) / len(model.feet)
+        return "foot_load", setup.foot_load**2
     unknown = setup.contact_points and not bool(model.is_contact.any())
-    return "contact_points", SHARES / setup.contact_points if unknown else 0.0
+    return "contact_points", SHARES if unknown else 0.0

@@ -188,7 +188,7 @@ def claimed(rows: Sequence[Any]) -> list[str]:
     claims = Claims.of(rows)
     if claims is None:
         return ["", "", ""]
-    return [f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", f"{claims.silent * len(rows):.0f} of {len(rows)}"]
+    return [f"{claims.ratio:.2f}", f"{100 * claims.held:.0f} %", f"{claims.silent * claims.count:.0f} of {len(rows)}"]
 
 
 def seconds_of(rows: Sequence[Any]) -> str:

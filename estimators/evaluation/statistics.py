@@ -1,4 +1,4 @@
-"""Statistics over draws: mean, spread, bootstrap interval, and the significantly best method."""
+"""Statistics over draws: mean, spread, interval of the mean, and the significantly best method."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from scipy import stats
 
 LEVEL = 0.95
-"""Level of the bootstrap interval of the mean."""
+"""Level of the interval of a mean."""
 FEWEST = 5
-"""Least number of draws for an interval or a test: the bootstrap of two has three values."""
+"""Least number of draws for an interval or a test."""
 SIGNIFICANT = 0.05
 """Probability by chance below which a paired difference counts."""
 NINETY = float(stats.norm.isf(0.05))
@@ -40,7 +40,7 @@ class Summary:
     """Standard deviation over draws; NaN for a single one."""
     low: float
     high: float
-    """Percentile bootstrap interval of the mean at LEVEL; NaN below FEWEST draws."""
+    """Interval of the mean at LEVEL by Student's t distribution, not below 0 if no draw is; NaN below FEWEST draws."""
     missing: int
     """Number of draws without an answer."""
 
@@ -113,9 +113,8 @@ def summarize(draws: Draws) -> Summary | None:
         return None
     low = high = np.nan
     if len(good) >= FEWEST:
-        rng = np.random.default_rng(0)
-        interval = stats.bootstrap((good,), np.mean, confidence_level=LEVEL, method="percentile", rng=rng)
-        low, high = interval.confidence_interval
+        half = float(stats.t.isf((1 - LEVEL) / 2, len(good) - 1) * stats.sem(good))
+        low, high = max(good.mean() - half, min(good.min(), 0.0)), good.mean() + half
     spread = float(good.std(ddof=1)) if len(good) > 1 else np.nan
     return Summary(len(good), float(good.mean()), spread, float(low), float(high), missing)
 
@@ -124,12 +123,14 @@ def summarize(draws: Draws) -> Summary | None:
 class Claims:
     """Errors of the masses relative to the errors that their answers claim."""
 
+    count: int
+    """Number of answers that claim a finite error of a known mass."""
     ratio: float
     """Root mean square of error over claimed error; errors without bound are left out."""
     held: float
     """Part of the 90 % intervals that hold the true mass; errors without bound are left out."""
     silent: float
-    """Part of the answers with status ok and a group off by more than SILENT claimed errors."""
+    """Part of these answers with status ok and a group off by more than SILENT claimed errors."""
 
     @staticmethod
     def of(rows: Iterable[Row]) -> Claims | None:
@@ -147,7 +148,7 @@ class Claims:
         if not each:
             return None
         off = np.concatenate(each)
-        return Claims(float(np.sqrt(np.mean(off**2))), float(np.mean(off < NINETY)), float(np.mean(silent)))
+        return Claims(len(each), float(np.sqrt(np.mean(off**2))), float(np.mean(off < NINETY)), float(np.mean(silent)))
 
 
 def significantly_best(methods: Mapping[str, Draws]) -> str | None:
@@ -172,5 +173,5 @@ def _smaller(first: Sequence[float], second: Sequence[float]) -> bool:
         return False
     if np.ptp(difference) == 0:
         return bool(difference[0] > 0)
-    chance = np.asarray(stats.ttest_1samp(difference, 0.0, alternative="greater"))[1]
-    return bool(chance < SIGNIFICANT)
+    chance = np.asarray(stats.ttest_1samp(difference, 0.0, alternative="two-sided"))[1]
+    return bool(difference.mean() > 0 and chance < SIGNIFICANT)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from scenarios.study.experiment import Progress
 
 NOTES = (
-    "Cells: mean and spread over draws of the sensor's errors, [95 % bootstrap interval of the mean]. *: better than "
+    "Cells: mean and spread over draws of the sensor's errors, [95 % interval of the mean]. *: better than "
     "every other method in its column (paired by draw, p < 0.05). No interval and no star below {fewest} draws. The "
     "paper's own figures, on its real robot, have rows of their own. The true masses predict with their true support: "
     "what is left is the error of sensor and model. _M: given M; _cov: errors weighed by their covariance."

@@ -129,7 +129,7 @@ class Entry:
 
     @property
     def interval(self) -> str:
-        """Bootstrap interval of the mean; empty below FEWEST draws."""
+        """Interval of the mean; empty below FEWEST draws."""
         if self.summary is None or np.isnan(self.summary.low):
             return ""
         return f"[{number(self.summary.low, self.summary.mean)}, {number(self.summary.high, self.summary.mean)}]"
@@ -401,6 +401,7 @@ def claims_table(rows: Sequence[Row], title: str = CLAIMS) -> Table | None:
             claims = (f"{found.ratio:.2f}", percent(found.held), percent(good / len(own)), percent(found.silent))
             cells = (*claims, f"{np.median(misfit):.2g}" if misfit else "-")
             lines.append(((method,), tuple(map(Entry, cells))))
-    note = f"errors without bound are left out; silent: status ok, and a group off by over {SILENT:g} claimed errors"
+    off = f"status ok, and a group off by over {SILENT:g} claimed errors"
+    note = f"errors without bound are left out; silent, as a part of the answers with errors: {off}"
     columns = ("error / claimed", "90 % intervals hold", "status ok", "silent", "misfit")
     return Table(title, columns, tuple(lines), note=note) if lines else None

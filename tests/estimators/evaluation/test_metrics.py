@@ -310,10 +310,11 @@ def test_the_best_is_marked_only_where_it_is_sure():
 
 
 @pytest.mark.slow
-def test_false_marks_are_rare():
+@pytest.mark.parametrize("methods", ["ab", "abc"])
+def test_false_marks_are_rare(methods: str):
     rng = np.random.default_rng(2)
-    tables = [{name: dict(enumerate(rng.normal(size=6).tolist())) for name in "abc"} for _ in range(400)]
-    assert sum(significantly_best(table) is not None for table in tables) < 0.1 * len(tables)
+    tables = [{name: dict(enumerate(rng.normal(size=6).tolist())) for name in methods} for _ in range(400)]
+    assert sum(significantly_best(table) is not None for table in tables) < 0.07 * len(tables)
 
 
 def test_rows_are_selected_and_scaled():

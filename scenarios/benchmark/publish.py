@@ -14,7 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from estimators.base import robot_seconds
+from estimators.action_selection.cost import spent_seconds
 from scenarios.benchmark.card import NAME, VERSION, write_card
 from scenarios.benchmark.dataset import (
     SAMPLES,
@@ -69,7 +69,7 @@ class Entry:
             weight_kg=weight,
             setup=json.dumps(asdict(moved[0].setup)),
             trials=len(moved),
-            robot_s=robot_seconds(moved),
+            robot_s=spent_seconds(self.model.shape, moved),
         )
 
 

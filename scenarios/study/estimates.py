@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from estimators.action_selection.cost import spent_seconds
 from estimators.base import Estimate, check_estimate, robot_seconds
 from estimators.evaluation.judged import judged
 from estimators.evaluation.metrics import hinge_columns, mean_particle_distance, normalized_absolute_difference
@@ -357,7 +358,7 @@ def judge(
             "mpd_turn_of_truth_m": math.nan if best is None else best.turn,
             "seconds": answer.seconds,
             "trials": len(given),
-            "robot_s": robot_seconds(given),
+            "robot_s": robot_seconds(given[:1]) + spent_seconds(shape, given[1:]),
             "weight_kg": weight_of(given[0]),
             "group_names": list(shape.group_names),
             "true_mass_kg": truth.group_mass.tolist() if truth.masses_known else None,

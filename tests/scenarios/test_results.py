@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from rich.console import Console
 
+from estimators.action_selection.cost import RobotTime
 from estimators.base import Estimate, robot_seconds
 from estimators.evaluation.statistics import axes_of
 from estimators.testing.analytic_world import turns
@@ -159,7 +160,11 @@ def test_an_answer_without_data_counts_the_trials_that_are_none():
     late = replace(good[0], time_s=good[0].time_s + 5)
     other = judge(obj, Estimate(None, "no_data", "none"), [trials[0], late], [], None)
     assert other["message"] == "none"
-    assert other["robot_s"] == pytest.approx(robot_seconds([trials[0], good[0]])), "no time before a record counts"
+    recorded = robot_seconds([trials[0], good[0]])
+    assert other["robot_s"] == pytest.approx(recorded + RobotTime().rise), "no time before a record counts"
+    both = judge(obj, Estimate(None, "no_data", "none"), [*trials[:1], *good], [], None)
+    way = RobotTime().between(obj.shape, good[0].action, good[1].action)
+    assert both["robot_s"] == pytest.approx(recorded + robot_seconds(good[1:]) + RobotTime().rise + way)
 
 
 def without(file: Path, name: str) -> None:

@@ -136,8 +136,9 @@ class Guess:
         )
 
     def uniform(self, shape: ObjectShape) -> MassDistribution:
-        """Distribution of equal particle masses."""
-        mass = np.full(shape.n_m, self.weight / len(shape.particles))
+        """Distribution of equal masses of cells."""
+        cells = np.bincount(shape.mass_group[shape.cells], minlength=shape.n_m)
+        mass = self.weight * cells / cells.sum() / shape.particles_per_group
         return MassDistribution(mass, np.full(shape.n_mu, self.friction))
 
 

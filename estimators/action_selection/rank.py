@@ -78,10 +78,10 @@ class RankDriven:
         accelerated = sum(action.accelerated for action in tried)
         if accelerated < self.accelerated:
             grasp = _drawn(allowed, accelerated, [self.seed, 1])
-            action = Accelerate(grasp)
-            if (accelerated + accelerated // len(allowed)) % 2:
-                return action.reversed()
-            return action
+            action, rounds = Accelerate(grasp), accelerated // len(allowed)
+            # every grasp in turn both ways; an even number of grasps needs a shift in each round
+            backward = (accelerated + rounds * (len(allowed) % 2 == 0)) % 2
+            return action.reversed() if backward else action
         moved = sum(action.dragged_steadily for action in tried)
         grasp = _drawn(allowed, moved, [self.seed, 2])
         if moved >= self.pivots:

@@ -82,11 +82,12 @@ def observation(
 
 def _group(box: ActionBox, group: int) -> tuple[float, ...]:
     """Center, second moments xx, xy, yy about it, part of the object's area, and part of it that touches the table."""
-    shape, own = box.shape, box.shape.mass_group == group
+    shape, cells = box.shape, box.shape.cells_of(group)
     x, y = (shape.middle_of(group) / box.reach).tolist()
-    off = (shape.particles[own] - shape.middle_of(group)) / box.reach
+    off = (shape.particles[cells] - shape.middle_of(group)) / box.reach
     (xx, xy), (_, yy) = off.T @ off / len(off)
-    return x, y, xx, xy, yy, float(own.mean()), float((shape.friction_group[own] >= 0).mean())
+    touching = shape.friction_group[shape.mass_group == group] >= 0
+    return x, y, xx, xy, yy, len(cells) / len(shape.cells), float(touching.mean())
 
 
 def _grasp(box: ActionBox, grasp: int) -> tuple[float, ...]:

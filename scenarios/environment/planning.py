@@ -187,7 +187,8 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """
         seed = self._noise + len(self._points)
         if self.backend == "analytic":
-            return analytic_trial(self._model, action, noise=self.sensing.force_noise[0], seed=seed)  # pyright: ignore[reportArgumentType]
+            noise = np.array([*self.sensing.force_noise, *self.sensing.torque_noise])
+            return analytic_trial(self._model, action, noise=noise, seed=seed)  # pyright: ignore[reportArgumentType]
         from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
 
         return draw_sensing(SimulationRunner().run_clean(Trial(self._model, action)), self.sensing, seed)

@@ -35,7 +35,6 @@ FAULTS = (
     "gain",
     "crosstalk",
     "mounting_angle",
-    "delay",
 )
 NONE = "none"
 """Fault of a lab as stated."""

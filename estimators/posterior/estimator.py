@@ -111,7 +111,7 @@ def posterior_of(
         return None
     windows = on_table.windows
     setup = windows.setup
-    unknowns = priors(shape, setup, errors, weight, on_table.trials, joined=support == "springs")
+    unknowns = priors(shape, setup, errors, weight, on_table.trials, joined=support == "springs", lifted=bool(lifts))
     if at is not None:
         unknowns = unknowns.given(mass=torch.tensor(at.mass), friction=torch.tensor(at.friction))
     measurements: list[Measurement] = [on_table, Scale(weight, Weighing.of(shape, errors.weight_error, setup))]

@@ -17,7 +17,7 @@ from estimators.posterior.table_errors import TableErrors, rows_of_planar
 from estimators.posterior.unknowns import Unknowns
 from estimators.wrench.jacobian import NONE, Slopes, Theta, Window, linearized, zeros
 from estimators.wrench.model import MODEL_PARAMETERS, ModelErrors, ParticleModel
-from estimators.wrench.sensor import flawed, turned_wrench
+from estimators.wrench.sensor import flawed
 from estimators.wrench.support import PUSHED, GripperLoad, Springs, Support, contact_spread, own_weight
 from estimators.wrench.table import Table
 from testbed.objects.model import ObjectShape
@@ -116,7 +116,6 @@ class OnTable:
             "inertial": table.inertial_rows()[:, :2] @ model.parts.T,
             "from_sensor": windows.from_sensor,
             "tcp_height": windows.load_map[:, 1, 0],
-            "spin": windows.twist[:, 2] * ~windows.pushed,
             "tool_tilt": windows.tool_tilt,
         }
         if windows.articulated:
@@ -357,8 +356,6 @@ class OnTable:
         on_feet = carried[1:] + moment - height * planar[:2]
         wrench = torch.stack([planar[0], planar[1], carried[0], -on_feet[1], on_feet[0], planar[2]]) + tool
         read = window["from_sensor"] @ flawed(theta, torch.linalg.solve(window["from_sensor"], wrench))
-        if "delay" in theta:
-            read = turned_wrench(theta["delay"] * window["spin"], read)
         return torch.cat([read, planar[3:]])
 
 

@@ -37,7 +37,14 @@ bench."""
 
 
 def priors(
-    shape: ObjectShape, setup: SetupErrors, errors: ModelErrors, weight: float, trials: int, *, joined: bool = False
+    shape: ObjectShape,
+    setup: SetupErrors,
+    errors: ModelErrors,
+    weight: float,
+    trials: int,
+    *,
+    joined: bool = False,
+    lifted: bool = True,
 ) -> Unknowns:
     """Unknowns of an object: masses, frictions, and every error of the setup and of the model that is not 0.
 
@@ -48,6 +55,7 @@ def priors(
         weight: M, kg.
         trials: number of trials on the table.
         joined: True if springs of unknown stiffness join the groups.
+        lifted: False without lifts, which leaves out the errors that nothing else shows.
     """
     typical, model = weight / float(shape.particles_per_group.sum()), ParticleModel.of(shape)
     blocks = {
@@ -66,7 +74,8 @@ def priors(
         blocks[pattern] = Block.normal(size)
         if not model.stands_on_feet:
             blocks["contact_radius"] = Block.normal(RADIUS)
-    for name, size in stated_sizes(setup, ("table", "air", "reading"), shape.n_m, len(shape.feet)).items():
+    shown = ("table", "reading") + ("air",) * lifted
+    for name, size in stated_sizes(setup, shown, shape.n_m, len(shape.feet)).items():
         blocks[name] = Block.normal(size, trials if PARAMETERS[name].scope == "trial" else None)
     for name in MODEL_PARAMETERS:
         if size := getattr(errors, f"{name}_error"):

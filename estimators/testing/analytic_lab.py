@@ -250,7 +250,6 @@ def flawed_trial(
     to_sensor = move_wrench(to_sensor, -TOOL.tcp)
     read = rotate_wrench(np.broadcast_to(draw.mounting, axes.shape), to_sensor) @ draw.response.T
     read = read + BIAS * rng.standard_normal(6) + NOISE * (rate / RATE) ** 0.5 * rng.standard_normal((len(time), 6))
-    recorded = rotate_wrench(axes, move_wrench(read, TOOL.tcp))
     origin = np.einsum("nij,j->ni", out, -grasp.position)
     values = {
         "object_pose": pose_from_point(hand, grasp.position, yaw),
@@ -261,6 +260,7 @@ def flawed_trial(
     }
     then = np.clip(np.arange(len(time)) - round(draw.delay * rate), 0, None)
     values = {name: value[then] for name, value in values.items()}
+    recorded = rotate_wrench(axes[then], move_wrench(read, TOOL.tcp))
     return record(
         len(time),
         tare=0,

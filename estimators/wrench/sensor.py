@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimators.wrench.jacobian import NONE, Theta
-from estimators.wrench.model import rotate
 
 
 def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
@@ -17,12 +16,6 @@ def flawed(theta: Theta, reading: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
         reading = reading + torch.linalg.cross(angle, reading.reshape(2, 3)).flatten()
     crossed = theta["crosstalk"] @ reading if "crosstalk" in theta else 0.0
     return reading * (1 + theta.get("gain", NONE)) + crossed
-
-
-def turned_wrench(angle: Float[Tensor, ""], wrench: Float[Tensor, "6"]) -> Float[Tensor, "6"]:
-    """Wrench rotated about z by an angle, rad: the effect of delayed poses."""
-    force, moment = rotate(angle, wrench[:2]), rotate(angle, wrench[3:5])
-    return torch.cat([force, wrench[2:3], moment, wrench[5:]])
 
 
 def walk(since_tare: Float[Tensor, "*B K 2"]) -> Float[Tensor, "*B K K"]:

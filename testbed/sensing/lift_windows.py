@@ -11,7 +11,7 @@ from testbed.errors import InvalidValueError
 from testbed.frames import move_wrench, rotate_wrench, rotation_matrix, rotation_z
 from testbed.objects.model import GRAVITY
 from testbed.sensing.compensation import SIDEWAYS, tare_samples, tool_pulls, tool_wrench, twist_rates
-from testbed.sensing.windows import bias_and_drift, mean_covariance, steady_samples
+from testbed.sensing.windows import bias_and_drift, scatter_about_parabola, steady_samples
 from testbed.trajectory import Phase, Trajectory
 from testbed.validation import freeze_arrays
 from testbed.worlds.setup_errors import SetupErrors
@@ -98,7 +98,7 @@ def lift_windows(trajectory: Trajectory) -> list[LiftWindow]:
     tared = trajectory.time_s[tare].mean()
     stretches = steady_samples(trajectory)
     durations = np.array([np.ptp(trajectory.time_s[kept]) for kept in stretches])
-    noise = [_noise_of_mean(trajectory.time_s[kept], wrench[kept]) for kept in stretches]
+    noise = [scatter_about_parabola(wrench[kept]) for kept in stretches]  # gravity turns in an object that is rocked
     # One noise density for all windows, mostly of the long ones: a few correlated samples underestimate it
     density = np.einsum("k,kij->ij", durations**3, noise) / (durations**2).sum()
     windows = []
@@ -156,11 +156,3 @@ def _held_axes(trajectory: Trajectory) -> tuple[int, Float[np.ndarray, "3 3"], F
 def _rate(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "n"]:
     """Slope of samples with time."""
     return np.polynomial.polynomial.polyfit(time - time.mean(), samples, 1)[1]
-
-
-def _noise_of_mean(time: Float[np.ndarray, "T"], samples: Float[np.ndarray, "T 6"]) -> Float[np.ndarray, "6 6"]:
-    """Covariance of the mean of a record about a parabola, since gravity turns in the object as it is rocked."""
-    centered = time - time.mean()
-    curve = np.polynomial.polynomial.polyfit(centered, samples, 2)
-    residuals = samples - np.polynomial.polynomial.polyval(centered, curve).T
-    return mean_covariance(residuals) * len(time) / (len(time) - 3)

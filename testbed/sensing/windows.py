@@ -35,8 +35,10 @@ LONGEST_STEP = 0.1
 """Longest time between samples [s], at which a batch and a part of a window still have samples."""
 PARTS = 10
 """Number of parts of a window, each with its mean motion."""
-LEAST_BATCHES = 8
-"""Least number of batches for the covariance from their differences; with fewer it is from the whole scatter."""
+LEAST_BATCHES = 30
+"""Least number of batches for a covariance from their differences; with fewer it is from the scatter of samples."""
+INDEPENDENT = 18 / 35
+"""Effective share of independent values among second differences of white noise: 1 / (1 + 2 (4/6)^2 + 2 (1/6)^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,14 +285,24 @@ def noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.nd
     """Covariance of the mean of a record from its noise alone, (D, D).
 
     It is from second differences of means over `length` samples, to which slow changes do not contribute (von Neumann
-    1941); with fewer than `LEAST_BATCHES` means, it is from the whole scatter.
+    1941), with the factor that makes its inverse unbiased (inverse Wishart distribution); with fewer than
+    `LEAST_BATCHES` means, it is from the scatter about a parabola.
     """
     count = len(samples) // length
     if count < LEAST_BATCHES:
-        return mean_covariance(samples)
+        return scatter_about_parabola(samples)
     means = samples[len(samples) - count * length :].reshape(count, length, -1).mean(axis=1)
     change = np.diff(means, 2, axis=0)
-    return change.T @ change / (6 * len(change) * count)
+    freedom = INDEPENDENT * len(change)
+    return change.T @ change / (6 * len(change) * count) * freedom / (freedom - means.shape[1] - 1)
+
+
+def scatter_about_parabola(samples: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "D D"]:
+    """Covariance of the mean of a record whose load changes slowly, (D, D)."""
+    count = len(samples)
+    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, count), 2)
+    residuals = samples - powers @ np.linalg.lstsq(powers, samples)[0]
+    return mean_covariance(residuals) * count / max(count - powers.shape[1], 1)
 
 
 def weight_of(trajectory: Trajectory) -> float:

@@ -163,9 +163,9 @@ class SetupErrors:
     )
     """Rotation of the sensor about each of its axes [rad]."""
     delay: float = parameter(
-        shows=("reading",), source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks"
+        shows=("air",), source="encoders, delay", unit="s", likely=0.02, cause="poses come late: align the clocks"
     )
-    """Delay of poses behind wrenches [s]."""
+    """Delay of poses behind wrenches [s]. On the table hand and object are late together, which shows nothing."""
     tool_mass: float = parameter(shows=("air",), source="tool, scale", unit="kg")
     """Mass of the tool, which affects the wrench when it is tilted [kg]."""
     tool_com: float = parameter(shows=("air",), source="tool, scale", unit="m", shape=(3,))

@@ -218,7 +218,7 @@ def test_the_misfit_counts_no_row_of_a_hinge_at_rest():
 def test_an_answer_has_the_errors_of_the_setup_with_their_standard_errors():
     trials = [replace(trial, setup=LAB) for trial in KINDS["accelerated"][1]()]
     numbers = ask(OBJECT, trials, Bayes()).diagnostics
-    for name in ("table_tilt_1", "gain_5", "grasp_offset_0_1", "delay", "friction_0"):
+    for name in ("table_tilt_1", "gain_5", "grasp_offset_0_1", "tcp_angle", "friction_0"):
         assert numbers[f"{name}_std"] > 0
     assert abs(numbers["table_tilt_1"]) < 3 * LAB.table_tilt and numbers["table_tilt_1_std"] <= LAB.table_tilt
 

@@ -22,6 +22,7 @@ from testbed.sensing.windows import (
     PARTS,
     effective_samples,
     mean_covariance,
+    noise_of_mean,
     part_means,
     sensor_map,
     steady_samples,
@@ -263,6 +264,18 @@ def test_the_covariance_of_a_mean_is_what_repetition_shows(lag1: float, rng: np.
     claimed = np.mean([mean_covariance(noise[:, i]) for i in range(repeats)], axis=0)
     seen = np.cov(noise.mean(axis=0), rowvar=False)
     assert_allclose(claimed, seen, rtol=0.2)
+
+
+@pytest.mark.parametrize("seconds", [1.6, 3.0, 5.0, 8.0, 20.0])
+def test_the_inverse_covariance_of_the_mean_of_noise_is_unbiased(seconds: float, rng: np.random.Generator):
+    count, repeats = round(seconds * RATE), 300
+    noise = rng.normal(size=(repeats, count, 6))
+    slow = 40.0 * np.linspace(-1, 1, count)[:, None] ** np.arange(1, 3).repeat(3)
+    squares = [
+        mean @ np.linalg.solve(noise_of_mean(each + slow, round(0.2 * RATE)), mean)
+        for each, mean in zip(noise, noise.mean(axis=1), strict=True)
+    ]
+    assert np.mean(squares) / 6 == pytest.approx(1.0, abs=0.15)
 
 
 def test_standardised_window_means_have_unit_spread(rng: np.random.Generator):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,10 @@ from testbed.sensing.presets import Sensing
 from testbed.validation import freeze_arrays
 
 WALK_TERMS = 8
-"""Terms of the sensor's random walk; the others have 2 / (pi^2 WALK_TERMS) of its variance."""
+"""Least number of terms of the sensor's random walk, and number per second of a long motion if `WALK_RATE` gives more.
+"""
+WALK_RATE = 1.0
+"""Terms per second: those left out have 2 / (pi^2 WALK_RATE) of the variance of a second."""
 LEAST_NOISE = np.repeat([1e-6, 1e-7], 3)
 """Least standard deviation of a wrench, N and N m, for sensors without noise."""
 SLOW = 1.0, 1.0
@@ -80,6 +84,11 @@ class InertialEquations:
         """Directions of the values that some parameters explain, as columns; the others hold noise alone."""
         left, strength, _ = np.linalg.svd(self.rows / self.scale)
         return left[:, strength > 1e-6 * strength[0]]
+
+    @property
+    def unseen(self) -> Float[np.ndarray, "10 10-rank"]:
+        """Directions of the parameters, each times its scale, that no equation shows, as orthonormal columns."""
+        return np.linalg.svd(self.rows / self.scale)[2][self.rank :].T
 
     @property
     def rank(self) -> int:
@@ -221,5 +230,5 @@ def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) 
 
 def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K n"]:
     """Eigenfunctions of a random walk of variance 1 per second, times their standard deviations (Karhunen, Loeve)."""
-    turns = (np.arange(WALK_TERMS) + 0.5) * np.pi
+    turns = (np.arange(max(WALK_TERMS, math.ceil(WALK_RATE * length))) + 0.5) * np.pi
     return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)

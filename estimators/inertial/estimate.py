@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from estimators.inertial.body import SIZE, InertialParameters
 from estimators.inertial.equations import InertialEquations
@@ -59,6 +59,11 @@ def drawn_values(equations: InertialEquations, seed: int, widening: float = 1.0)
     return equations.values + np.sqrt(max(equations.misfit, widening, 1.0)) * noise
 
 
+def is_observed(equations: InertialEquations) -> Bool[np.ndarray, "10"]:
+    """True for the parameters that the equations determine."""
+    return np.linalg.norm(equations.unseen, axis=1) < UNOBSERVED
+
+
 def least_squares_inertia(equations: InertialEquations, seed: int = 0) -> InertialEstimate:
     """Least-squares parameters, physical or not, NaN where the motion does not show them.
 
@@ -70,7 +75,7 @@ def least_squares_inertia(equations: InertialEquations, seed: int = 0) -> Inerti
     """
     scale = equations.scale
     inverse = np.linalg.pinv(equations.rows / scale, rcond=1e-6)
-    observed = np.linalg.norm(inverse @ (equations.rows / scale) - np.eye(SIZE), axis=1) < UNOBSERVED
+    observed = is_observed(equations)
     solutions = (inverse @ np.vstack([equations.values, drawn_values(equations, seed)]).T).T / scale
     solutions = np.where(observed, solutions, np.nan)
     best = InertialParameters.of_vector(solutions[0])

@@ -13,13 +13,16 @@ from scipy import sparse
 
 from estimators.inertial.body import SIZE, InertialParameters, pseudo_inertia
 from estimators.inertial.equations import InertialEquations
-from estimators.inertial.estimate import InertialEstimate, drawn_values
+from estimators.inertial.estimate import InertialEstimate, drawn_values, is_observed
 from testbed.errors import HeftError
 from testbed.validation import freeze_arrays
 
 CONES: Any = clarabel  # untyped
 TYPICAL_SIZE = 0.1
 """Assumed half size of a body without an ellipsoid, m; it scales the program without bounding the body."""
+SLACK = 1e-7
+"""Slack of the bounds, in units of the body's mass and size, for parameters that lie on them."""
+NAME = "consistent_inertia: the semidefinite program"
 _TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
 """Entries of a symmetric 4 x 4 matrix as the solver counts them: the upper triangle, column by column."""
 
@@ -47,7 +50,9 @@ def consistent_inertia(
 ) -> InertialEstimate:
     """Least-squares parameters of a body of positive density that lies `within` an ellipsoid.
 
-    Draws are such parameters for draws of the equations' values; where a bound is active they lie on it.
+    Draws are such parameters for draws of the equations' values; where a bound is active they lie on it. Along
+    directions that the equations do not show they lie on the bounds of a body within the ellipsoid, in directions drawn
+    at random; without an ellipsoid they are NaN there.
 
     Args:
         equations: equations of the body.
@@ -62,6 +67,12 @@ def consistent_inertia(
     )
     program = _Program(equations, within)
     solved = np.array([program.nearest(each) for each in plain[0].T])
+    if within is None:
+        solved[1:, ~is_observed(equations)] = np.nan
+    elif equations.rank < SIZE:
+        unseen = np.linalg.qr(program.entries @ (equations.unseen / equations.scale[:, None]))[0]
+        ways = np.random.default_rng([seed, 1]).standard_normal((len(solved) - 1, unseen.shape[1])) @ unseen.T
+        solved[1:] = [program.farthest(*each, unseen) for each in zip(solved[1:], ways, strict=True)]
     return InertialEstimate(InertialParameters.of_vector(solved[0]), solved[1:], equations.misfit)
 
 
@@ -87,6 +98,18 @@ class _Program:
         self.bounds = np.vstack(blocks)
         self.quadratic = sparse.csc_matrix(np.triu(self.rows.T @ self.rows))
 
+    def farthest(
+        self, start: Float[np.ndarray, "10"], way: Float[np.ndarray, "10"], unseen: Float[np.ndarray, "10 k"]
+    ) -> Float[np.ndarray, "10"]:
+        """Consistent parameters from `start` as far along `way` as the bounds let them, within directions `unseen`.
+
+        Both directions are in the entries of P.
+        """
+        slack = SLACK * np.array([float(i == j) for i, j in _TRIANGLE] + [1.0])[: len(self.bounds)]
+        program = -unseen.T @ way, sparse.csc_matrix(-self.bounds @ unseen), self.bounds @ self.entries @ start + slack
+        none = sparse.csc_matrix((unseen.shape[1], unseen.shape[1]))
+        return start + np.linalg.solve(self.entries, unseen @ minimizer(NAME, none, *program, self.cones))
+
     def nearest(self, plain: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10"]:
         """Least-squares consistent parameters, from the unbounded least-squares parameters `plain`."""
         start = self.entries @ plain
@@ -97,7 +120,7 @@ class _Program:
             return plain
         linear = -self.rows.T @ (self.rows @ start)
         program = self.quadratic, linear, sparse.csc_matrix(-self.bounds), np.zeros(len(self.bounds)), self.cones
-        return np.linalg.solve(self.entries, minimizer("consistent_inertia: the semidefinite program", *program))
+        return np.linalg.solve(self.entries, minimizer(NAME, *program))
 
 
 def minimizer(name: str, *program: Any) -> np.ndarray:

@@ -187,14 +187,13 @@ def wrench_fit(label: str, trajectory: Trajectory, predicted: np.ndarray | None)
     except InvalidValueError:  # a trial that ended before its steady window is drawn too
         pass
     measured = wrench_in_object(trajectory)[:, PLANAR]
-    deviation = sample_deviation(trajectory)[list(PLANAR)]
     return WrenchFit(
         label,
         trajectory.time_s,
         measured,
         steady,
         np.full_like(measured, np.nan) if predicted is None else predicted,
-        np.broadcast_to(WITHIN * deviation, measured.shape),
+        WITHIN * sample_deviation(trajectory)[:, PLANAR],
     )
 
 

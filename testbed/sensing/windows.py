@@ -240,15 +240,17 @@ def wrench_in_object(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
     return np.hstack([planar[0], force[:, 2:], planar[1], torque[:, 2:]])
 
 
-def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "6"]:
-    """Standard deviation of a single sample of `wrench_in_object` from the sensor's errors [N, N m], shape (6,).
+def sample_deviation(trajectory: Trajectory) -> Float[np.ndarray, "T 6"]:
+    """Standard deviation of each sample of `wrench_in_object` from the sensor's errors [N, N m].
 
-    The errors are the noise, as measured while hovering, and the constant error left by the tare.
+    The errors are the noise, as measured while hovering, the constant error left by the tare, and the drift since.
     """
     hovering = trajectory.sensor_wrench[trajectory.mask(Phase.TARE)]
     noise = np.cov(hovering, rowvar=False) if len(hovering) > 1 else np.zeros((6, 6))
     move = sensor_map(trajectory)
-    return np.sqrt(np.diag(move @ (noise + np.diag(trajectory.sensor_bias_std**2)) @ move.T))
+    constant = np.diag(move @ (noise + np.diag(trajectory.sensor_bias_std**2)) @ move.T)
+    drift = np.diag(move @ np.diag(trajectory.sensor_drift_std**2) @ move.T)
+    return np.sqrt(constant + np.outer(np.abs(trajectory.time_s - tare_time(trajectory)), drift))
 
 
 def sensor_map(trajectory: Trajectory, at: tuple[int, float] | None = None) -> Float[np.ndarray, "6 6"]:

@@ -131,6 +131,18 @@ def test_still_poses_show_mass_and_center_alone_and_the_message_says_so():
     assert np.isnan(found.parameters.inertia).any() and "accelerate" in found.message
 
 
+def test_bounds_alone_limit_what_still_poses_do_not_show():
+    _, _, whole = body()
+    equations = inertial_equations(noisy(motion(whole, still=True), 0), FT300S)
+    within = Ellipsoid.around(np.array([-0.06, -0.06, 0.04]), np.array([0.17, 0.1, 0.16]))
+    (low, high), plain = consistent_inertia(equations, within).interval(numbers), least_squares_inertia(equations)
+    assert_allclose([low[:4], high[:4]], plain.interval(numbers)[:, :4], rtol=1e-3)
+    inertia = np.diag(whole.inertia)
+    assert (low[4:] < inertia).all() and (high[4:] > 3 * inertia).all()
+    unbounded = consistent_inertia(equations)
+    assert np.isnan(unbounded.interval(numbers)[:, 4:]).all() and np.isfinite(unbounded.interval(numbers)[:, 0]).all()
+
+
 def test_motions_of_one_body_add_up():
     _, _, whole = body()
     one, other = motion(whole), motion(whole, still=True)
@@ -187,6 +199,14 @@ def test_nine_in_ten_intervals_hold(method):
         hold.append(holds(found, whole))
         assert found.misfit < (12 if method == "parts" else 1.5)  # that of the parts has one degree of freedom
     assert 0.82 < np.mean(hold) < 0.98
+
+
+@pytest.mark.slow
+def test_intervals_hold_through_the_random_walk_of_a_minute():
+    _, _, whole = body()
+    exact = motion(whole, seconds=60.0)
+    solved = (least_squares_inertia(inertial_equations(noisy(exact, seed), FT300S)) for seed in range(40))
+    assert 0.82 < np.mean([holds(found, whole) for found in solved]) < 0.98
 
 
 @pytest.mark.slow

@@ -98,7 +98,7 @@ def support_test(
     smaller stated errors. It averages over the gripper's load at the stated size and below: without a load, the model
     in which a load changes friction more would otherwise lose. One material throughout has the same prior probability
     as unequal masses. Springs between the groups are then fitted from the likelier model: if their share differs from
-    that of the model, neither model holds.
+    that of the model, neither model holds. Springs are tried too where the likelier model does not explain the trials.
 
     Args:
         shape: geometry and groups.
@@ -117,7 +117,8 @@ def support_test(
     assert sprung is not None
     share, error = _share(sprung, near, end)
     refuted = 2 * ndtr(-abs(share - end) / error) < level and (end == 0 or abs(share - end) > NEARLY)
-    shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if refuted else None
+    tried = refuted or not near.explained.explains
+    shared = _springs(shape, weight, trajectories, (alike, rigid), near, sprung) if tried else None
     if shared is not None:
         share, error = map(float, shared.of("rigid_share"))
         return SupportTest("between", bayes, share, error, shared)
@@ -152,11 +153,12 @@ def _springs(
 ) -> Posterior | None:
     """Posterior of springs between the groups, where they explain the trials; None where they do not.
 
-    Soft springs have the errors of the likelier model, as in the test itself; stiff ones those of one rigid body. They
-    have to be decisively likelier than either model alone with the same errors, at a share that springs can have.
+    Soft springs have the errors of the likelier model, as in the test itself; stiff ones, and those of trials that this
+    model does not explain, have those of one rigid body. They have to be decisively likelier than either model alone
+    with the same errors, at a share that springs can have.
     """
     share, found = float(sprung.of("rigid_share")[0]), list[tuple[Posterior, Posterior]]()
-    if not sprung.explained.explains or share > SOFT:
+    if share > SOFT or not (sprung.explained.explains and likelier.explained.explains):
         starts = zip(ends, (STIFF / 2, STIFF), strict=True)
         fits = [
             posterior_of(shape, weight, trajectories, "springs", near=each, rigid_share=start) for each, start in starts

@@ -35,8 +35,10 @@ LONGEST_STEP = 0.1
 """Longest time between samples [s], at which a batch and a part of a window still have samples."""
 PARTS = 10
 """Number of parts of a window, each with its mean motion."""
-LEAST_BATCHES = 30
-"""Least number of batches for a covariance from their differences; with fewer it is from the scatter of samples."""
+LEAST_BATCHES = 40
+"""Least number of batches for a covariance from their differences; a short window has shorter batches."""
+SHORTEST = 0.25
+"""Least length of a batch as a part of `BATCH`; with shorter ones a covariance is from the scatter of samples. Ours."""
 INDEPENDENT = 18 / 35
 """Effective share of independent values among second differences of white noise: 1 / (1 + 2 (4/6)^2 + 2 (1/6)^2)."""
 
@@ -286,14 +288,15 @@ def _slopes(time: np.ndarray, twist: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 def noise_of_mean(samples: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "D D"]:
     """Covariance of the mean of a record from its noise alone, (D, D).
 
-    It is from second differences of means over `length` samples, to which slow changes do not contribute (von Neumann
-    1941), with the factor that makes its inverse unbiased (inverse Wishart distribution); with fewer than
-    `LEAST_BATCHES` means, it is from the scatter about a parabola.
+    It is from second differences of means over `length` samples or fewer, to which slow changes do not contribute (von
+    Neumann 1941), with the factor that makes its inverse unbiased (inverse Wishart distribution); of a window too short
+    for that, it is from the scatter about a parabola.
     """
-    count = len(samples) // length
-    if count < LEAST_BATCHES:
+    batch = min(length, len(samples) // LEAST_BATCHES)
+    if batch < max(SHORTEST * length, 1):
         return scatter_about_parabola(samples)
-    means = samples[len(samples) - count * length :].reshape(count, length, -1).mean(axis=1)
+    count = len(samples) // batch
+    means = samples[len(samples) - count * batch :].reshape(count, batch, -1).mean(axis=1)
     change = np.diff(means, 2, axis=0)
     freedom = INDEPENDENT * len(change)
     return change.T @ change / (6 * len(change) * count) * freedom / (freedom - means.shape[1] - 1)

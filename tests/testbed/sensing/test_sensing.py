@@ -266,7 +266,7 @@ def test_the_covariance_of_a_mean_is_what_repetition_shows(lag1: float, rng: np.
     assert_allclose(claimed, seen, rtol=0.2)
 
 
-@pytest.mark.parametrize("seconds", [1.6, 3.0, 5.0, 8.0, 20.0])
+@pytest.mark.parametrize("seconds", [1.6, 2.4, 3.0, 5.0, 8.0, 20.0])
 def test_the_inverse_covariance_of_the_mean_of_noise_is_unbiased(seconds: float, rng: np.random.Generator):
     count, repeats = round(seconds * RATE), 300
     noise = rng.normal(size=(repeats, count, 6))

@@ -354,7 +354,7 @@ def _stretches(shape: ObjectShape, trial: int, action: Action) -> list[Planned]:
                 np.array([time + begin, time + end]),
                 twist[None],
                 np.array([0.0, 0.0, acceleration]),
-                twist[2] ** 2,
+                action.turns * float(np.mean((speed + acceleration * since) ** 2)),
                 np.column_stack([place, yaw]),
                 middle_yaw + (start if action.turns else 0.0),
             )

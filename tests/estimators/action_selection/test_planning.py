@@ -27,7 +27,10 @@ from estimators.posterior.posterior import Posterior
 from estimators.posterior.priors import priors
 from estimators.posterior.scale import Scale, Weighing
 from estimators.posterior.solver import Measurement, Optimum
+from estimators.testing.analytic_world import analytic_trial
 from testbed import Accelerate, InvalidValueError, Lift, Push, Rotate, Slide, load_object, preset, world
+from testbed.actions.base import TableAction
+from testbed.sensing.windows import steady_windows
 from testbed.simulation.motion import plan_motion
 from testbed.simulation.settings import SimulationSettings
 from testbed.worlds.setup_errors import EXACT_SETUP
@@ -82,6 +85,15 @@ def test_information_of_trials_adds_up_to_that_of_all_together(support, world_na
     root = predicted_information(shape, model.truth, TRIALS, FT300S, assumptions).root(weighing)
     size = np.sqrt(np.diag(together))
     np.testing.assert_allclose(root.T @ root / np.outer(size, size), together / np.outer(size, size), atol=1e-5)
+
+
+@pytest.mark.parametrize("action", [Accelerate(1), Rotate(2, pivot=(-0.04, 0.02), back=True), Slide(0, 0.7)])
+def test_planned_windows_have_the_spin_and_the_acceleration_of_a_record(action: TableAction):
+    planned, found = predicted_windows(L2.shape, [action], FT300S), steady_windows(analytic_trial(L2, action))
+    assert planned is not None
+    recorded = np.array([(each.spin_square, each.acceleration[2]) for each in found])
+    np.testing.assert_allclose(planned.spin_square, recorded[:, 0], rtol=0.05, atol=1e-6)
+    np.testing.assert_allclose(planned.acceleration[:, 2], recorded[:, 1], rtol=0.02, atol=1e-6)
 
 
 def test_a_lift_adds_its_information_to_a_rigid_body_alone():

@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from testbed.actions.accelerate import Accelerate
@@ -67,7 +66,7 @@ def analytic_trial(
     lift: float = 0.0,
     moment: tuple[float, float] = (0.0, 0.0),
     wander: float = 0.0,
-    noise: float | Float[np.ndarray, "6"] = 0.0,
+    noise: float | tuple[float, ...] = 0.0,
     seed: int = 0,
 ) -> Trajectory:
     """Record of one action.
@@ -80,7 +79,7 @@ def analytic_trial(
         lift: vertical force of the gripper [N].
         moment: moment of the feet beyond the weights, about the grasp point, object axes [N m].
         wander: amplitude of the motion of a turn's center, as under a compliant arm [m].
-        noise: white noise on each axis of the wrench [N, N m]; a single number is in N and 0.1 N m.
+        noise: white noise on each axis of the wrench [N, N m]; one number is in N and 0.1 N m.
         seed: seed of the noise.
     """
     shape = obj.shape
@@ -125,7 +124,7 @@ def analytic_trial(
     tilt = np.column_stack([-(on_feet[:, 1] - HEIGHT * force[:, 1]), on_feet[:, 0] - HEIGHT * force[:, 0]])
     wrench = np.column_stack([force, np.full(count, lift), tilt, torque])
     rng = np.random.default_rng(seed)
-    sizes = noise * np.repeat([1, 0.1], 3) if isinstance(noise, float) else noise
+    sizes = noise * np.repeat([1, 0.1], 3) if isinstance(noise, float) else np.array(noise)
     wrench = wrench + sizes * rng.standard_normal((count, 6))
     world = np.array(wrench)
     for part in (slice(0, 2), slice(3, 5)):

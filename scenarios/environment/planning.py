@@ -187,7 +187,7 @@ class PlanningEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """
         seed = self._noise + len(self._points)
         if self.backend == "analytic":
-            noise = np.array([*self.sensing.force_noise, *self.sensing.torque_noise])
+            noise = (*self.sensing.force_noise, *self.sensing.torque_noise)
             return analytic_trial(self._model, action, noise=noise, seed=seed)  # pyright: ignore[reportArgumentType]
         from testbed.simulation.runner import SimulationRunner  # noqa: PLC0415  without MuJoCo until it is needed
 

@@ -142,6 +142,7 @@ def analytic_trial(
         object_velocity=np.column_stack([hand_velocity + spin[:, None] * perpendicular(origin), spin]),
         tcp_position=np.column_stack([hand, np.full(count, HEIGHT)]),
         tcp_velocity=np.column_stack([hand_velocity, still, still[:, 0], spin]),
+        sensor_orientation=(Rotation.from_rotvec(np.outer(yaw, [0, 0, 1])) * DOWN).as_quat(scalar_first=True),
         wrench_on_object_world=world,
     )
 

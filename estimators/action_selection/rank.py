@@ -79,7 +79,7 @@ class RankDriven:
         if accelerated < self.accelerated:
             grasp = _drawn(allowed, accelerated, [self.seed, 1])
             action, rounds = Accelerate(grasp), accelerated // len(allowed)
-            # every grasp in turn both ways; an even number of grasps needs a shift in each round
+            # half of the turns backward: an even number of grasps needs a shift in each round
             backward = (accelerated + rounds * (len(allowed) % 2 == 0)) % 2
             return action.reversed() if backward else action
         moved = sum(action.dragged_steadily for action in tried)

@@ -19,11 +19,9 @@ from testbed.objects.model import GRAVITY
 from testbed.sensing.presets import Sensing
 from testbed.validation import freeze_arrays
 
-WALK_TERMS = 8
-"""Least number of terms of the sensor's random walk, and number per second of a long motion if `WALK_RATE` gives more.
-"""
-WALK_RATE = 1.0
-"""Terms per second: those left out have 2 / (pi^2 WALK_RATE) of the variance of a second."""
+WALK_TERMS = 8, 120
+"""Least and largest number of terms of the sensor's random walk, one per second of a motion; the others have
+2 / (pi^2 n) of its variance."""
 LEAST_NOISE = np.repeat([1e-6, 1e-7], 3)
 """Least standard deviation of a wrench, N and N m, for sensors without noise."""
 SLOW = 1.0, 1.0
@@ -230,5 +228,5 @@ def _acceleration_noise(rows: np.ndarray, wrench: np.ndarray, sensing: Sensing) 
 
 def _walk(since: Float[np.ndarray, "K"], length: float) -> Float[np.ndarray, "K n"]:
     """Eigenfunctions of a random walk of variance 1 per second, times their standard deviations (Karhunen, Loeve)."""
-    turns = (np.arange(max(WALK_TERMS, math.ceil(WALK_RATE * length))) + 0.5) * np.pi
+    turns = (np.arange(int(np.clip(math.ceil(length), *WALK_TERMS))) + 0.5) * np.pi
     return np.sqrt(2 * length) / turns * np.sin(turns * since[:, None] / length)

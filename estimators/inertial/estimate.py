@@ -16,6 +16,8 @@ DRAWS = 400
 """Number of draws of an estimate."""
 UNOBSERVED = 1e-6
 """Part of a parameter outside the row space of the equations above which it is not observed."""
+OPEN = "the motion does not show all of the inertia: accelerate about three axes"
+"""Message where parameters are not observed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ def least_squares_inertia(equations: InertialEquations, seed: int = 0) -> Inerti
     best = InertialParameters.of_vector(solutions[0])
     message = ""
     if not observed.all():
-        message = "the motion does not show all of the inertia: accelerate about three axes"
+        message = OPEN
     elif not best.consistent:
         message = "no body of positive density has these parameters"
     return InertialEstimate(best, solutions[1:], equations.misfit, message)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from estimators.inertial.body import InertialParameters
+from estimators.inertial.body import SIZE, InertialParameters
 from estimators.inertial.estimate import DRAWS
 from estimators.inertial.lifts import lift_equations
 from estimators.inertial.parts import ellipsoid_of
@@ -34,7 +34,7 @@ class Payload:
     """Mass, center of mass and inertia of a flange's payload, flange frame."""
 
     parameters: InertialParameters
-    """Most likely body of positive density; its inertia is NaN where it is not observed."""
+    """Most likely body of positive density; its inertia is NaN where the trials do not show all of it."""
     draws: tuple[InertialParameters, ...]
     """Draws of the body from its posterior."""
     grasp: str = ""
@@ -77,7 +77,10 @@ class Payload:
             return InertialParameters.of_vector(in_sensor.vector + beside)
 
         drawn = tuple(carried(InertialParameters.of_vector(d)) for d in found.draws)
-        return Payload(carried(found.parameters), drawn, held)
+        best = carried(found.parameters)
+        if equations.rank < SIZE:
+            best = replace(best, inertia=np.full((3, 3), np.nan))
+        return Payload(best, drawn, held)
 
     @staticmethod
     def of_poses(calibration: Calibration) -> Payload:

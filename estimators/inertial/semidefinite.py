@@ -13,7 +13,7 @@ from scipy import sparse
 
 from estimators.inertial.body import SIZE, InertialParameters, pseudo_inertia
 from estimators.inertial.equations import InertialEquations
-from estimators.inertial.estimate import InertialEstimate, drawn_values, is_observed
+from estimators.inertial.estimate import OPEN, InertialEstimate, drawn_values, is_observed
 from testbed.errors import HeftError
 from testbed.validation import freeze_arrays
 
@@ -52,7 +52,7 @@ def consistent_inertia(
 
     Draws are such parameters for draws of the equations' values; where a bound is active they lie on it. Along
     directions that the equations do not show they lie on the bounds of a body within the ellipsoid, in directions drawn
-    at random; without an ellipsoid they are NaN there.
+    at random; without an ellipsoid parameters and draws are NaN there.
 
     Args:
         equations: equations of the body.
@@ -68,12 +68,13 @@ def consistent_inertia(
     program = _Program(equations, within)
     solved = np.array([program.nearest(each) for each in plain[0].T])
     if within is None:
-        solved[1:, ~is_observed(equations)] = np.nan
+        solved[:, ~is_observed(equations)] = np.nan
     elif equations.rank < SIZE:
         unseen = np.linalg.qr(program.entries @ (equations.unseen / equations.scale[:, None]))[0]
         ways = np.random.default_rng([seed, 1]).standard_normal((len(solved) - 1, unseen.shape[1])) @ unseen.T
         solved[1:] = [program.farthest(*each, unseen) for each in zip(solved[1:], ways, strict=True)]
-    return InertialEstimate(InertialParameters.of_vector(solved[0]), solved[1:], equations.misfit)
+    message = OPEN if equations.rank < SIZE else ""
+    return InertialEstimate(InertialParameters.of_vector(solved[0]), solved[1:], equations.misfit, message)
 
 
 class _Program:

@@ -124,7 +124,7 @@ def analytic_trial(
     tilt = np.column_stack([-(on_feet[:, 1] - HEIGHT * force[:, 1]), on_feet[:, 0] - HEIGHT * force[:, 0]])
     wrench = np.column_stack([force, np.full(count, lift), tilt, torque])
     rng = np.random.default_rng(seed)
-    sizes = noise * np.repeat([1, 0.1], 3) if isinstance(noise, float) else np.array(noise)
+    sizes = np.array(noise) if isinstance(noise, tuple) else noise * np.repeat([1, 0.1], 3)
     wrench = wrench + sizes * rng.standard_normal((count, 6))
     world = np.array(wrench)
     for part in (slice(0, 2), slice(3, 5)):

@@ -141,6 +141,17 @@ def test_bounds_alone_limit_what_still_poses_do_not_show():
     assert (low[4:] < inertia).all() and (high[4:] > 3 * inertia).all()
     unbounded = consistent_inertia(equations)
     assert np.isnan(unbounded.interval(numbers)[:, 4:]).all() and np.isfinite(unbounded.interval(numbers)[:, 0]).all()
+    assert np.isnan(unbounded.parameters.inertia).any() and "accelerate" in unbounded.message
+
+
+def test_a_payload_of_lifts_without_swings_has_no_inertia():
+    lifts = [lifted(OBJECT, Lift(0, hold=1.4, swings=swings)) for swings in (0, 2)]
+    still, swung = (Payload.of_lifts(OBJECT.shape, [each]) for each in lifts)
+    assert still.undetermined == ["Ixx", "Iyy", "Izz"] and not swung.undetermined
+    assert np.isnan(still.parameters.inertia).all() and as_ur(still).count("[") == 1
+    low, high = np.diagonal(still.interval("inertia"), axis1=1, axis2=2)
+    true = np.diag(swung.parameters.inertia)
+    assert (low < true).all() and (true < high).all()
 
 
 def test_motions_of_one_body_add_up():
